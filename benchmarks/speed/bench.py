@@ -7,6 +7,7 @@ All on one thread. Compared calls take turns with each other and with a referenc
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
@@ -28,7 +29,7 @@ from fusion_sfdia.benchmarks.speed import (
     stream,
     workers,
 )  # fmt: skip
-from fusion_sfdia.core.files import require_free
+from fusion_sfdia.core.files import locked
 from fusion_sfdia.evaluation.results import Row, write_rows
 
 SECONDS = 2.0  # of each call
@@ -57,18 +58,17 @@ def run(parts: Sequence[str], out: Path | None = None, seconds: float = SECONDS,
     """Return the rows of some parts, each call timed for about `seconds`; into out/metrics.csv where out is given.
 
     No parts: all but those ON_REQUEST. Raises ValueError for an unknown part and where the folder is not free (see
-    output.require_free).
+    files.locked).
     """
     unknown = [part for part in parts if part not in PARTS]
     if unknown:
         raise ValueError(f"unknown part {', '.join(unknown)} of the benchmark; known: {', '.join(PARTS)}")
-    if out is not None:
-        require_free(out, force=force)
     chosen = parts or [part for part in PARTS if part not in ON_REQUEST]
-    with threadpool_limits(1):
-        rows = [row for part in chosen for row in PARTS[part].measure(seconds)]
-    if out is not None:
-        write_rows(out / "metrics.csv", rows)
+    with nullcontext() if out is None else locked(out, force=force):
+        with threadpool_limits(1):
+            rows = [row for part in chosen for row in PARTS[part].measure(seconds)]
+        if out is not None:
+            write_rows(out / "metrics.csv", rows)
     return rows
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -28,13 +29,18 @@ def add_inspect(commands: Any) -> None:
 
 
 def _inspect(chosen: argparse.Namespace) -> int:
+    from fusion_sfdia.core.files import locked
+
+    with nullcontext() if chosen.out is None else locked(chosen.out, force=chosen.force):
+        return _inspected(chosen)
+
+
+def _inspected(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.cli.tune import chosen_plant, tuned_entry
-    from fusion_sfdia.core.files import all_or_none, require_free
+    from fusion_sfdia.core.files import all_or_none, atomic_write
     from fusion_sfdia.inspection.inspection import inspect_plant
     from fusion_sfdia.inspection.text import as_json, as_text
 
-    if chosen.out is not None:
-        require_free(chosen.out, force=chosen.force)
     model = chosen_plant(chosen)
     healthy = None if chosen.data is None else loaded(chosen, chosen.data, model)
     if healthy is not None:
@@ -51,7 +57,8 @@ def _inspect(chosen: argparse.Namespace) -> int:
     text, data = as_text(found), json.dumps(as_json(found), indent=2)
     if chosen.out is not None:
         with all_or_none(chosen.out) as new:
-            (new / "inspection.txt").write_text(f"{text}\n", encoding="utf-8")
-            (new / "inspection.json").write_text(f"{data}\n", encoding="utf-8")
+            for name, content in (("inspection.txt", text), ("inspection.json", data)):
+                with atomic_write(new / name) as file:
+                    file.write(f"{content}\n")
     print(data if chosen.json else text)
     return int(bool(found.mistakes))

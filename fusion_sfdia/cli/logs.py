@@ -171,17 +171,16 @@ def _listed(kind: str, sensor: str, plant: Any) -> str:
 
 def _diagnose(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.cli.tune import diagnosing_detector
-    from fusion_sfdia.core.files import require_free
+    from fusion_sfdia.core.files import locked
     from fusion_sfdia.logs.reading import load_log
     from fusion_sfdia.report.log_report import FILES, as_text, diagnose_log
     from fusion_sfdia.report.log_units import LogUnits
 
     out = chosen.out or Path("diagnosis") / chosen.data.stem
-    require_free(out, force=chosen.force)
-    with printed_warnings():
+    with locked(out, force=chosen.force), printed_warnings():
         name, built, read = diagnosing_detector(chosen)
         read = read or load_log(chosen.data, built.plant, chosen.map, **columns(chosen))
-        found = diagnose_log(chosen.data, built, out, read=read, force=chosen.force, detector_name=name)
+        found = diagnose_log(chosen.data, built, out, read=read, held=True, detector_name=name)
     code = int(found.decisions.diverged.any())
     if chosen.json:
         kinds = [{"kind": e.kind} if found.process_hypotheses else {} for e in found.events]

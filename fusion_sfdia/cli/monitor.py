@@ -35,15 +35,21 @@ def add_monitor(commands: Any) -> None:
 
 
 def _monitor(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.core.files import all_or_none, atomic_write, require_free
+    from fusion_sfdia.core.files import locked
+
+    out = chosen.out or Path("monitor") / chosen.data.stem
+    with locked(out, force=chosen.force):
+        return _diagnose(chosen, out)
+
+
+def _diagnose(chosen: argparse.Namespace, out: Path) -> int:
+    from fusion_sfdia.core.files import all_or_none, atomic_write
     from fusion_sfdia.logs.log_map import PLAIN_MAP, load_map
     from fusion_sfdia.monitoring.logs import load, signals_of
     from fusion_sfdia.monitoring.monitor import learn_monitor
     from fusion_sfdia.report.log_page import About
     from fusion_sfdia.report.log_report import FILES, write_diagnosis
 
-    out = chosen.out or Path("monitor") / chosen.data.stem
-    require_free(out, force=chosen.force)
     say = partial(print, file=sys.stderr if chosen.json else sys.stdout, flush=True)
     log_map = load_map(chosen.map) if chosen.map else PLAIN_MAP
     sensors, inputs = signals_of(chosen.healthy[0], names(chosen.inputs), names(chosen.ignore), log_map)

@@ -112,6 +112,13 @@ def diagnosing_detector(chosen: argparse.Namespace) -> tuple[str, Any, Any]:
 
 
 def _tune(chosen: argparse.Namespace) -> int:
+    from fusion_sfdia.core.files import locked_file
+
+    with locked_file(chosen.out):
+        return _tuned(chosen)
+
+
+def _tuned(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.registry import plant
     from fusion_sfdia.tuning.tune import Source, tune
     from fusion_sfdia.tuning.words import as_text

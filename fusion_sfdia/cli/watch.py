@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -62,14 +63,21 @@ def add_watch(commands: Any) -> None:
 
 
 def _watch(chosen: argparse.Namespace) -> int:
+    from fusion_sfdia.core.files import locked_file
+
+    if chosen.state is not None and not chosen.state.absolute().parent.is_dir():
+        raise ValueError(f"--state {chosen.state}: there is no folder {chosen.state.parent}; make it, or name another file")
+    with nullcontext() if chosen.state is None else locked_file(chosen.state):
+        return _watched(chosen)
+
+
+def _watched(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.cli.tune import bound_detector
     from fusion_sfdia.live.remarks import Remarks
     from fusion_sfdia.live.saving import SavedWatch
     from fusion_sfdia.live.watch import Watch
     from fusion_sfdia.logs.log_map import AT_THE_SAMPLE, PLAIN_MAP, load_map
 
-    if chosen.state is not None and not chosen.state.absolute().parent.is_dir():
-        raise ValueError(f"--state {chosen.state}: there is no folder {chosen.state.parent}; make it, or name another file")
     if chosen.save_every < 1:
         raise ValueError(f"--save-every is {chosen.save_every}; expected at least 1 row")
     for one, other in (("opcua", "nodes"), ("mqtt", "topics")):

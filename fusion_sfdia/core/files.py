@@ -1,17 +1,29 @@
-"""Files and folders that are complete or absent: atomic writes, a folder's files together, and errors that name the cure."""
+"""Files and folders that are complete or absent: atomic writes, a folder's files together, one writer at a time, and errors
+that name the cure.
+
+What is written goes to a temporary file or folder, which its process holds by a lock of the system for as long as it lives.
+A temporary without a holder is what a killed process has left: the next write into that folder removes it. Where the disk or
+the system has no such locks (some network disks, Windows), nothing is held and nothing is removed.
+"""
 
 from __future__ import annotations
 
 import errno
 import os
+import secrets
 import shutil
 import stat
-import tempfile
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import IO, Any, Literal
 
+if sys.platform != "win32":
+    import fcntl
+
+TEMPORARY, LOCK = ".fusion-sfdia.", ".lock"  # how the names of temporaries begin, and the file by which a folder is held
 CURES = {
     errno.ENOENT: "name an existing one",
     errno.EISDIR: "name a file, not a folder",
@@ -58,6 +70,8 @@ def made_folder(folder: Path) -> Iterator[None]:
     folder.mkdir(parents=True, exist_ok=True)
     try:
         yield
+        for made in new:
+            _sync_folder(made.parent)
     finally:
         for made in new:
             with suppress(OSError):
@@ -67,17 +81,93 @@ def made_folder(folder: Path) -> Iterator[None]:
 @contextmanager
 def _temporary(path: Path, mode: Literal["w", "wb"]) -> Iterator[IO[Any]]:
     path = Path(os.path.realpath(path))
-    with made_folder(path.parent):
-        permissions = stat.S_IMODE(path.stat().st_mode) if path.is_file() else 0o666 & ~_umask()
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    kept = stat.S_IMODE(path.stat().st_mode) if path.is_file() else None
+    make = partial(_make_file, permissions=0o666 if kept is None else 0o600)
+    with made_folder(path.parent), _held_temporary(path.parent, make) as temporary:
+        with temporary.open(mode, **_text(mode)) as file:
+            yield file
+            _sync(file)
+        if kept is not None:
+            temporary.chmod(kept)
+        os.replace(temporary, path)
+        _sync_folder(path.parent)
+
+
+def _make_file(path: Path, permissions: int = 0o666) -> None:
+    """Make an empty file; permissions: less the process's umask, as for any new file."""
+    os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, permissions))
+
+
+@contextmanager
+def _held_temporary(folder: Path, make: Callable[[Path], None]) -> Iterator[Path]:
+    """A new temporary in a folder, held until the end of the block, where it is removed; before it those without a holder."""
+    remove_leftovers(folder)
+    handle = None
+    while handle is None:  # a process that removes leftovers may take it before it is held
+        temporary = folder / f"{TEMPORARY}{secrets.token_hex(8)}"
+        make(temporary)
+        handle = _hold(temporary)
+    try:
+        yield temporary
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True) if temporary.is_dir() else temporary.unlink(missing_ok=True)
+        os.close(handle)
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove the temporaries of processes that have ended from a folder."""
+    for path in folder.glob(f"{TEMPORARY}*"):
+        with suppress(OSError):  # gone meanwhile, or of another user
+            if not stat.S_ISDIR(mode := path.lstat().st_mode) and not stat.S_ISREG(mode):
+                continue
+            if (handle := _hold(path, surely=True)) is not None:
+                try:
+                    shutil.rmtree(path) if stat.S_ISDIR(mode) else path.unlink()
+                finally:
+                    os.close(handle)
+
+
+def _hold(path: Path, *, surely: bool = False) -> int | None:
+    """Hold a file or folder until the handle is closed or the process ends; None where another process does, or has removed it.
+
+    surely: also None where there are no locks; otherwise the handle then holds nothing.
+    """
+    if sys.platform == "win32":  # opens no folders, either
+        return None if surely else os.open(os.devnull, os.O_RDONLY)
+    try:
+        handle = os.open(path, (os.O_RDONLY if path.is_dir() else os.O_RDWR) | os.O_NOFOLLOW)
+    except FileNotFoundError:
+        return None
+    held = False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        held = os.path.samestat(os.fstat(handle), path.stat())
+    except (BlockingIOError, FileNotFoundError):
+        pass
+    except OSError:
+        held = not surely
+    finally:
+        if not held:
+            os.close(handle)
+    return handle if held else None
+
+
+def _sync(file: IO[Any]) -> None:
+    """Have a file's content on the disk, so that a power cut after its renaming leaves the old file or the new one."""
+    file.flush()
+    os.fsync(file.fileno())
+
+
+def _sync_folder(folder: Path) -> None:
+    """Have the names in a folder on the disk, where the disk can."""
+    if sys.platform == "win32":
+        return
+    with suppress(OSError):  # some disks cannot sync a folder, and it may be one that may not be read
+        handle = os.open(folder, os.O_RDONLY)
         try:
-            with os.fdopen(handle, mode, **_text(mode)) as file:
-                yield file
-            os.chmod(temporary, permissions)
-            os.replace(temporary, path)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 STREAMS = {Path("/dev/stdout"): 1, Path("/dev/stderr"): 2}  # may be a file to which other processes write
@@ -97,12 +187,6 @@ def _text(mode: str) -> dict[str, Any]:
     return {} if "b" in mode else {"encoding": "utf-8", "newline": ""}
 
 
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
-
-
 def require_free(out: Path, *, force: bool = False) -> None:
     """Raise ValueError where the folder is a file, cannot be written to, or holds something and force is not given."""
     nearest = next((p for p in (out, *out.parents) if p.exists()), Path())
@@ -110,8 +194,49 @@ def require_free(out: Path, *, force: bool = False) -> None:
         raise ValueError(f"cannot write into {out}: {nearest} is a file; name a folder with --out")
     if not os.access(nearest, os.R_OK | os.W_OK | os.X_OK):
         raise ValueError(f"cannot write into {out}: no permission in {nearest}; name another folder with --out")
-    if out.exists() and any(out.iterdir()) and not force:
+    if out.exists() and not force and any(not p.name.startswith((TEMPORARY, LOCK)) for p in out.iterdir()):
         raise ValueError(f"{out} is already used; name another folder with --out, or write into it with --force")
+
+
+@contextmanager
+def locked(out: Path, *, force: bool = True) -> Iterator[None]:
+    """Make a folder and hold it for this process; ValueError where another process does, and as `require_free`.
+
+    The system releases the lock of a process that ends, however it ends: a file that is left behind blocks no other process.
+    """
+    require_free(out, force=force)
+    with made_folder(out), _only_writer(out / LOCK, out, "folder with --out"):
+        require_free(out, force=force)  # another process may have filled it before this one held it
+        yield
+
+
+@contextmanager
+def locked_file(path: Path) -> Iterator[None]:
+    """The same for a file that is written, by a file .NAME.lock beside it; nothing is held of a device, a pipe or a stream."""
+    if _is_stream(path):
+        yield
+        return
+    real = Path(os.path.realpath(path))
+    with made_folder(real.parent), _only_writer(real.with_name(f".{real.name}{LOCK}"), path, "file"):
+        yield
+
+
+@contextmanager
+def _only_writer(lock: Path, held: Path, another: str) -> Iterator[None]:
+    try:
+        with suppress(FileExistsError):
+            _make_file(lock)
+        handle = _hold(lock)
+    except OSError as error:
+        raise ValueError(f"cannot write into {lock.parent} ({error.strerror}); name another {another}") from error
+    if handle is None:
+        raise ValueError(f"{held} is in use: another run writes into it; wait until it has ended, or name another {another}")
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            lock.unlink()
+        os.close(handle)
 
 
 @contextmanager
@@ -121,8 +246,8 @@ def all_or_none(out: Path) -> Iterator[Path]:
     Files of the same names are replaced, one at a time; if one fails, those before are restored. Others stay.
     """
     near = next(p for p in (out, *out.parents) if p.exists())  # on the same disk
-    with tempfile.TemporaryDirectory(dir=near, prefix=".fusion-sfdia.") as temporary:
-        new, old = Path(temporary, "new"), Path(temporary, "old")
+    with _held_temporary(near, lambda path: path.mkdir(0o700)) as temporary:
+        new, old = temporary / "new", temporary / "old"
         new.mkdir()
         try:
             yield new
@@ -131,6 +256,9 @@ def all_or_none(out: Path) -> Iterator[Path]:
                 raise OSError(error.errno, error.strerror, str(out / Path(error.filename).relative_to(new))) from error
             raise
         names = [p.relative_to(new) for p in sorted(new.rglob("*")) if p.is_file()]
+        for name in names:
+            with (new / name).open("rb+") as file:
+                _sync(file)
         present = [name for name in names if (out / name).exists()]
         for name in present:
             (old / name).parent.mkdir(parents=True, exist_ok=True)
@@ -146,3 +274,5 @@ def all_or_none(out: Path) -> Iterator[Path]:
                 for name in moved:
                     os.replace(old / name, out / name) if name in present else (out / name).unlink()
                 raise
+            for folder in {out / name.parent for name in names}:
+                _sync_folder(folder)

@@ -1,25 +1,19 @@
-"""The folder of a run: which process may write into it, and the manifest of its contents."""
+"""The folder of a run: the manifest of its contents, and what may be written into it."""
 
 from __future__ import annotations
 
 import json
-import os
 import re
 import shlex
-import sys
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fusion_sfdia.core.files import atomic_write, made_folder, require_free
+from fusion_sfdia.core.files import LOCK, TEMPORARY, atomic_write, remove_leftovers, require_free
 from fusion_sfdia.experiments.parts import PART_NAME
 
-if sys.platform != "win32":
-    import fcntl
-
-MANIFEST, LOCK = "manifest.json", ".lock"
+MANIFEST = "manifest.json"
 OWN_FILE = re.compile(r"metrics\.csv|report\.html|figures/[a-z0-9-]+\.(svg|png)")
 
 
@@ -41,46 +35,6 @@ class Command:
         return shlex.join(["fusion-sfdia", "run", *self.scenarios, *options])
 
 
-@contextmanager
-def locked(out: Path) -> Iterator[None]:
-    """Make the folder and hold it for this process; ValueError where another process does.
-
-    The system releases the lock of a process that ends, however it ends: a file that is left behind blocks no other process.
-    Where the disk or the system has no such locks (some network disks, Windows) nothing is held.
-    """
-    require_free(out, force=True)
-    with made_folder(out):
-        try:
-            handle = os.open(out / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
-        except OSError as error:
-            raise ValueError(f"cannot write into {out} ({error.strerror}); name another folder with --out") from error
-        try:
-            if not _lock(handle, out / LOCK):
-                raise ValueError(
-                    f"{out} is in use: another run writes into it; wait until it has ended, or name another folder with --out"
-                )
-            try:
-                yield
-            finally:
-                with suppress(OSError):
-                    (out / LOCK).unlink()
-        finally:
-            os.close(handle)
-
-
-def _lock(handle: int, path: Path) -> bool:
-    if sys.platform != "win32":
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return False
-        except OSError:
-            return True
-    with suppress(FileNotFoundError):
-        return os.path.samestat(os.fstat(handle), path.stat())
-    return False  # its holder has removed it since it was opened
-
-
 def open_output(out: Path, command: Command, *, force: bool = False) -> None:
     """Make the folder ready for a run, or raise ValueError where it is in use for something else.
 
@@ -89,8 +43,7 @@ def open_output(out: Path, command: Command, *, force: bool = False) -> None:
     anything else, whose files stay unless they have our names.
     """
     require_free(out, force=True)
-    ours = (LOCK, f".{MANIFEST}.")
-    found = [p.name for p in out.iterdir() if not p.name.startswith(ours)] if out.exists() else []
+    found = [p.name for p in out.iterdir() if not p.name.startswith((LOCK, TEMPORARY))] if out.exists() else []
     earlier = read_manifest(out)
     same = earlier is not None and earlier.get("command") == command.text
     if found and not same and not force:
@@ -136,6 +89,7 @@ def remove(out: Path, names: Iterable[str]) -> None:
 
 def remove_other_parts(out: Path, keep: set[str]) -> None:
     """Remove parts that do not belong to the run, and unfinished ones of killed processes."""
+    remove_leftovers(out / "parts")
     for path in (out / "parts").glob("*"):
         if path.name not in keep and PART_NAME.fullmatch(path.name):
             path.unlink(missing_ok=True)

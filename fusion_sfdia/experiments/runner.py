@@ -20,13 +20,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from threadpoolctl import threadpool_limits
 
 import fusion_sfdia
-from fusion_sfdia.core.files import all_or_none
+from fusion_sfdia.core.files import all_or_none, locked
 from fusion_sfdia.evaluation.results import Row, write_rows
 from fusion_sfdia.experiments.cluster import connected
 from fusion_sfdia.experiments.drawing import draw_figures
 from fusion_sfdia.experiments.output import (
     Command,
-    locked,
     open_output,
     own_files,
     read_manifest,

@@ -6,6 +6,7 @@ import csv
 import sys
 import warnings
 from collections.abc import Iterable, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -15,7 +16,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.detector import Detector, chosen
-from fusion_sfdia.core.files import all_or_none, atomic_write, require_free
+from fusion_sfdia.core.files import all_or_none, atomic_write, locked
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run, present
 from fusion_sfdia.evaluation.events import ProcessEvent, open_questions
@@ -47,6 +48,7 @@ def diagnose_log(
     other_columns: bool = False,
     nominal_inputs: bool = False,
     force: bool = False,
+    held: bool = False,
     detector_name: str = "",
 ) -> Diagnosis:
     """Diagnose a log with a detector and write FILES into the folder `out`; detector_name: for the report.
@@ -54,24 +56,24 @@ def diagnose_log(
     A bar shows the progress on a terminal.
 
     log_map: how the log is written, see `load_log`. read: what `load_log` has found, where it was called already. Sensors whose
-    unit looks wrong are taken as missing: that is no fault.
-    Raises ValueError naming the file where the log does not fit (see load_log), and where the folder is not free; warns of
-    what reading the log found, and as `diagnose_run` does.
+    unit looks wrong are taken as missing: that is no fault. held: whether the caller has `locked` the folder.
+    Raises ValueError naming the file where the log does not fit (see load_log), and where the folder is not free or another
+    process writes into it; warns of what reading the log found, and as `diagnose_run` does.
     """
-    require_free(out, force=force)
     plant = detector.plant
     given = {"absent_sensors": absent_sensors, "other_columns": other_columns, "nominal_inputs": nominal_inputs}
-    loaded = check_log(data, plant, log_map, **given) if read is None else checked(plant, read)
-    for remark in loaded.brief:
-        warnings.warn(f"{data}: {remark}", stacklevel=2)
-    log = without_suspects(plant, loaded).log
-    try:
-        found = diagnose_run(detector, log, clock=loaded.clock, each=progress, unread=(*loaded.absent, *loaded.suspects))
-    except ValueError as error:
-        raise ValueError(f"{data}: {error}") from error
-    with all_or_none(out) as new:
-        about = About(data.name, detector_name or type(detector).__name__)
-        write_diagnosis(new, plant, log.y, log.u, found, about, LogUnits(plant, loaded.columns))
+    with nullcontext() if held else locked(out, force=force):
+        loaded = check_log(data, plant, log_map, **given) if read is None else checked(plant, read)
+        for remark in loaded.brief:
+            warnings.warn(f"{data}: {remark}", stacklevel=2)
+        log = without_suspects(plant, loaded).log
+        try:
+            found = diagnose_run(detector, log, clock=loaded.clock, each=progress, unread=(*loaded.absent, *loaded.suspects))
+        except ValueError as error:
+            raise ValueError(f"{data}: {error}") from error
+        with all_or_none(out) as new:
+            about = About(data.name, detector_name or type(detector).__name__)
+            write_diagnosis(new, plant, log.y, log.u, found, about, LogUnits(plant, loaded.columns))
     return found
 
 

@@ -22,6 +22,7 @@ from fusion_sfdia.cli import listing, runs
 from fusion_sfdia.cli.logs import _size
 from fusion_sfdia.cli.main import main
 from fusion_sfdia.comparison import protocol
+from fusion_sfdia.core.files import locked, locked_file
 from fusion_sfdia.evaluation.faults import FAULT_KINDS, Fault, load_faults
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 
@@ -169,6 +170,32 @@ def test_an_error_is_one_line(
     assert err.count("\n") == 1
     assert message in err
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the system has no locks of files")
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("diagnose", "--data", "log.csv", "--plant", "two-tanks", "--out", "held"),
+        ("monitor", "--healthy", "log.csv", "--data", "log.csv", "--out", "held"),
+        ("inspect", "--plant", "two-tanks", "--out", "held", "--no-simulation"),
+        ("run", "toy/mean", "--out", "held"),
+        ("bench", "model", "--out", "held"),
+        ("tune", "--plant", "two-tanks", "--healthy", "log.csv", "--out", "held.toml"),
+        ("watch", "--plant", "two-tanks", "--state", "held.npz"),
+    ],
+)
+def test_two_runs_into_one_place_are_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: tuple[str, ...]
+) -> None:
+    (tmp_path / "log.csv").write_text("time,level\n0,1\n1,1\n")
+    out = next(Path(a) for a in arguments if a.startswith("held"))
+    with locked_file(out) if out.suffix else locked(out):
+        before = sorted(tmp_path.rglob("*"))
+        code, printed, err = call(capsys, *arguments)
+        assert sorted(tmp_path.rglob("*")) == before
+    assert (code, printed) == (2, "")
+    assert f"{out} is in use: another run writes into it; wait until it has ended" in err
 
 
 @pytest.mark.parametrize(

@@ -5,14 +5,16 @@ from __future__ import annotations
 import errno
 import os
 import stat
-import tempfile
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
 
 import pytest
 
-from fusion_sfdia.core.files import atomic_write, explained
+from fusion_sfdia.core import files
+from fusion_sfdia.core.files import all_or_none, atomic_write, explained, locked, locked_file
 
 
 @pytest.mark.parametrize("mode", ["w", "wb"])
@@ -59,7 +61,7 @@ def test_an_error_names_the_expected_file_and_the_cure(tmp_path: Path, monkeypat
     with pytest.raises(OSError) as below, atomic_write(tmp_path / "file" / "deeper.csv"):
         pass
     assert "deeper.csv" in explained(below.value) and "below folders" in explained(below.value)
-    for module, name in ((tempfile, "mkstemp"), (os, "replace")):
+    for module, name in ((os, "open"), (os, "replace")):
         with monkeypatch.context() as patch:
             patch.setattr(module, name, refuse(errno.EACCES, "Permission denied"))
             with pytest.raises(PermissionError) as denied, atomic_write(path):
@@ -104,3 +106,113 @@ def test_a_failed_write_leaves_no_new_folder(tmp_path: Path) -> None:
     with pytest.raises(ValueError), atomic_write(tmp_path / "a" / "b" / "file.csv"):
         raise ValueError
     assert list(tmp_path.iterdir()) == []
+
+
+def left_by(code: str, root: Path) -> None:
+    """Run code whose process ends at once, as if it were killed."""
+    code = f"import os\nfrom pathlib import Path\nfrom fusion_sfdia.core.files import *\n{code}"
+    ended = subprocess.run([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": str(root)}, check=False)
+    assert ended.returncode == 9
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the system has no locks of files")
+def test_what_a_killed_process_left_is_removed_by_the_next_and_nothing_else(tmp_path: Path, root: Path) -> None:
+    out = tmp_path / "out"
+    mine = tmp_path / ".file.csv.20260301"  # of somebody else
+    mine.touch()
+    left_by(f"with atomic_write(Path({str(tmp_path / 'file.csv')!r})) as file:\n    file.write('half')\n    os._exit(9)", root)
+    left_by(f"with all_or_none(Path({str(out)!r})) as new:\n    (new / 'a').write_text('half')\n    os._exit(9)", root)
+    assert len(list(tmp_path.glob(".fusion-sfdia.*"))) == 1 + 1 - 1  # the second run has removed what the first left
+    with all_or_none(out) as new:
+        (held,) = tmp_path.glob(".fusion-sfdia.*")
+        with atomic_write(tmp_path / "file.csv") as file:
+            file.write("whole")
+        assert new.is_relative_to(held) and new.is_dir()  # of a run that lives
+        (new / "a").write_text("whole")
+    assert {p.name for p in tmp_path.iterdir()} == {"out", "file.csv", mine.name} and (out / "a").read_text() == "whole"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the system has no locks of files")
+def test_a_temporary_that_is_taken_before_it_is_held_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make, made = files._make_file, []
+
+    def taken_at_first(path: Path, permissions: int = 0o666) -> None:
+        make(path, permissions)
+        made.append(path)
+        if len(made) == 1:
+            files.remove_leftovers(tmp_path)
+
+    monkeypatch.setattr(files, "_make_file", taken_at_first)
+    with atomic_write(tmp_path / "file.csv") as file:
+        file.write("whole")
+    assert len(made) == 2 and [p.name for p in tmp_path.iterdir()] == ["file.csv"]
+
+
+def test_leftovers_that_are_no_files_or_folders_stay(tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / ".fusion-sfdia.link").symlink_to(tmp_path / "mine")
+    with atomic_write(tmp_path / "file.csv") as file:
+        file.write("whole")
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".fusion-sfdia.link", "file.csv", "mine"]
+
+
+def test_content_and_names_are_on_the_disk_before_and_after_a_file_is_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[str] = []
+    sync, replace = os.fsync, os.replace
+
+    def synced(handle: int) -> None:
+        calls.append("folder" if stat.S_ISDIR(os.fstat(handle).st_mode) else "file")
+        sync(handle)
+
+    def replaced(source: Path, target: Path) -> None:
+        calls.append("replace")
+        replace(source, target)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(os, "replace", replaced)
+    with atomic_write(tmp_path / "file.csv") as file:
+        file.write("whole")
+    assert calls == ["file", "replace", "folder"]
+    calls.clear()
+    with all_or_none(tmp_path / "out") as new:
+        (new / "a").write_text("whole")
+        (new / "b").write_text("whole")
+    assert calls == ["file", "file", "replace", "replace", "folder", "folder"]
+
+
+def test_the_umask_of_the_process_is_never_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = os.umask(0o027)
+    try:
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "umask", refuse(errno.EPERM, "another thread would make files for everybody"))
+            with atomic_write(tmp_path / "file.csv") as file:
+                file.write("whole")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "file.csv").stat().st_mode) == 0o640
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the system has no locks of files")
+def test_a_folder_or_file_has_one_writer_at_a_time(tmp_path: Path, root: Path) -> None:
+    out, state = tmp_path / "out", tmp_path / "state.npz"
+    with locked(out):
+        with pytest.raises(
+            ValueError, match=r"out is in use: another run writes into it; wait until it has ended, or name anoth"
+        ):
+            with locked(out):
+                raise AssertionError
+        with locked(tmp_path / "other"):
+            pass
+    assert list(tmp_path.iterdir()) == []
+    with locked_file(state), pytest.raises(ValueError, match=r"state.npz is in use: .* name another file"), locked_file(state):
+        raise AssertionError
+    assert list(tmp_path.iterdir()) == []
+    left_by(f"with locked(Path({str(out)!r})):\n    os._exit(9)", root)
+    with locked(out, force=False):  # what a killed run has left neither holds the folder nor counts as its content
+        (out / "a").touch()
+    with pytest.raises(ValueError, match="already used"), locked(out, force=False):
+        raise AssertionError
+    with locked_file(Path("/dev/stdout")):
+        pass

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from toy_scenario import TOY, toy
 
-from fusion_sfdia.core.files import all_or_none
+from fusion_sfdia.core.files import all_or_none, locked
 from fusion_sfdia.evaluation.results import COLUMNS, Published, Row, as_json, read_rows, write_rows
-from fusion_sfdia.experiments.output import Command, locked, open_output
+from fusion_sfdia.experiments.output import Command, open_output
 from fusion_sfdia.experiments.parts import part_name, read_part, write_part
 from fusion_sfdia.experiments.runner import run_scenarios
 from fusion_sfdia.experiments.scenario import adjust, seed_blocks
@@ -186,7 +186,7 @@ def test_a_folder_is_of_one_run_at_a_time(tmp_path: Path) -> None:
 
 
 def test_the_lock_of_a_killed_process_blocks_no_other(tmp_path: Path, root: Path) -> None:
-    code = "import os, pathlib\nfrom fusion_sfdia.experiments.output import locked\n"
+    code = "import os, pathlib\nfrom fusion_sfdia.core.files import locked\n"
     code += f"with locked(pathlib.Path({str(tmp_path)!r})):\n    os._exit(9)"
     environment = {**os.environ, "PYTHONPATH": str(root)}
     assert subprocess.run([sys.executable, "-c", code], env=environment, check=False).returncode == 9
@@ -217,7 +217,7 @@ def test_files_move_into_a_folder_all_or_none(tmp_path: Path, monkeypatch: pytes
             raise OSError(errno.ENOSPC, "No space left on device", str(target))
         replace_file(source, target)
 
-    monkeypatch.setattr("fusion_sfdia.experiments.output.os.replace", full_at_the_third)
+    monkeypatch.setattr("fusion_sfdia.core.files.os.replace", full_at_the_third)
     with pytest.raises(OSError, match="No space left"), all_or_none(out) as new:
         for name in ("a", "aa", "b"):
             (new / name).write_text("second")
@@ -255,7 +255,7 @@ def test_an_unwritable_folder_is_a_clear_error(tmp_path: Path, monkeypatch: pyte
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr("fusion_sfdia.core.files.tempfile.mkstemp", refuse)
+    monkeypatch.setattr("fusion_sfdia.core.files.os.open", refuse)
     with pytest.raises(ValueError, match=r"cannot write into .*Permission denied.*--out"):
         run_scenarios([TOY], tmp_path / "out", workers=1)
 
