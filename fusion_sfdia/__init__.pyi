@@ -41,6 +41,7 @@ from fusion_sfdia.core.uncertainty import Disturbance as Disturbance
 from fusion_sfdia.core.uncertainty import Parameter as Parameter
 from fusion_sfdia.core.uncertainty import Uncertainty as Uncertainty
 from fusion_sfdia.core.uncertainty import secants as secants
+from fusion_sfdia.core.verdicts import Verdict as Verdict
 from fusion_sfdia.data_driven.ewma_limits import EwmaLimits as EwmaLimits
 from fusion_sfdia.data_driven.fixed_limits import FixedLimits as FixedLimits
 from fusion_sfdia.data_driven.one_class import OneClass as OneClass

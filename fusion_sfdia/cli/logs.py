@@ -172,6 +172,7 @@ def _listed(kind: str, sensor: str, plant: Any) -> str:
 def _diagnose(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.cli.tune import diagnosing_detector
     from fusion_sfdia.core.files import locked
+    from fusion_sfdia.core.verdicts import Verdict
     from fusion_sfdia.logs.reading import load_log
     from fusion_sfdia.report.log_report import FILES, as_text, diagnose_log
     from fusion_sfdia.report.log_units import LogUnits
@@ -181,7 +182,7 @@ def _diagnose(chosen: argparse.Namespace) -> int:
         name, built, read = diagnosing_detector(chosen)
         read = read or load_log(chosen.data, built.plant, chosen.map, **columns(chosen))
         found = diagnose_log(chosen.data, built, out, read=read, held=True, detector_name=name)
-    code = int(found.decisions.diverged.any())
+    code = int(found.decisions.diverged.any() or found.state is Verdict.BLIND)
     if chosen.json:
         kinds = [{"kind": e.kind} if found.process_hypotheses else {} for e in found.events]
         times = [{"start_time": found.clock.at(e.start), "end_time": found.clock.at(e.end)} for e in found.events]

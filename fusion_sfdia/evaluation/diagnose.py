@@ -26,8 +26,20 @@ from fusion_sfdia.core.gaps import Gap, Track, bridged
 from fusion_sfdia.core.log import Log, one_run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.redundancy import redundancy
+from fusion_sfdia.core.verdicts import ALL_FAR, NO_THRESHOLDS, TOO_MANY, Conclusion, Verdict, far_off, judged, undecidable
 from fusion_sfdia.evaluation.absent import repeats
-from fusion_sfdia.evaluation.events import LASTING, Event, ProcessEvent, events_of, spans, throughout, verdict
+from fusion_sfdia.evaluation.events import (
+    EVEN,
+    LASTING,
+    NO_FAULT,
+    Event,
+    ProcessEvent,
+    events_of,
+    open_questions,
+    spans,
+    throughout,
+    verdict,
+)
 from fusion_sfdia.evaluation.hindsight import hindsight, left_out
 from fusion_sfdia.evaluation.hindsight_steps import Residuals
 from fusion_sfdia.evaluation.model_health import Health, health_of
@@ -62,11 +74,49 @@ class Diagnosis:
     limit: str = ""
 
     @property
+    def state(self) -> Verdict:
+        """The verdict on the whole log in one word, for programs; a log that was not judged is blind, never healthy."""
+        return self._conclusion.verdict
+
+    @property
+    def _conclusion(self) -> Conclusion:
+        """The same with the reason where nothing is named."""
+        d, t = self.decisions, self.t
+        likely = {e.kind for e in self.events if not e.confidence < EVEN}
+        unsupported = far_off(d) | d.capped
+        seen, named = judged(d), np.any(d.isolated, axis=-1)
+        if not np.any(seen) and not np.any(d.diverged):
+            return Conclusion(Verdict.BLIND, "no reading could be compared with the model")
+        if np.sum(unsupported) > max(np.sum(named) / 2, LASTING - 1):
+            return Conclusion(Verdict.UNDECIDED, ALL_FAR if np.all(far_off(d)[unsupported]) else TOO_MANY)
+        if likely & {"process", "other"}:
+            return Conclusion(Verdict.PROCESS)
+        if "sensor" in likely:
+            return Conclusion(Verdict.SENSOR)
+        if open_questions(self.events, t) or any(e.confidence < EVEN for e in self.events):
+            return Conclusion(Verdict.UNDECIDED)
+        if np.any(d.diverged):
+            when = self.clock.at(float(t[np.argmax(d.diverged)]))
+            return Conclusion(Verdict.BLIND, f"the estimate diverged, or the model gave no finite value, at {when}")
+        if 2 * np.sum(seen) < t.size:
+            count = f"{t.size - np.sum(seen)} of {t.size} samples"
+            return Conclusion(Verdict.BLIND, f"in {count} no reading could be compared with the model")
+        if np.all(undecidable(d)[seen]):
+            return Conclusion(Verdict.UNDECIDED, NO_THRESHOLDS)
+        if 2 * np.sum(np.any(d.absurd_input, axis=-1) if np.ndim(d.absurd_input) else d.absurd_input) > t.size:
+            return Conclusion(Verdict.OUTSIDE, "an input is beyond the limits of its signal in most samples")
+        return Conclusion(Verdict.HEALTHY)
+
+    @property
     def verdict(self) -> str:
         """What the events say together: "process or model: ...", "cannot tell: ... or ...", "sensor ...", "perhaps ...", or
-        "no fault".
+        "no fault"; without events, "no verdict: ..." or "cannot tell: ..." with the reason where nothing could be concluded.
         """
-        found = verdict(self.events, self.t)
+        found, concluded = verdict(self.events, self.t), self._conclusion
+        if found == NO_FAULT and concluded.verdict is not Verdict.HEALTHY:
+            return concluded.text
+        if concluded.verdict is Verdict.BLIND:
+            return f"{concluded.text}; {found}"
         if np.any(lost := self.decisions.diverged):
             return f"{found} until {self.clock.at(float(self.t[np.argmax(lost)]))}, where the estimate diverged"
         return found

@@ -19,6 +19,7 @@ Array = NDArray[Any]
 MOST_NAMES = 4  # in a sentence
 LASTING = 3  # samples
 CERTAIN = 0.95  # a confidence below is stated
+NO_FAULT = "no fault"
 EVEN = 0.5  # a confidence below which it is rather something else
 
 
@@ -190,7 +191,7 @@ def verdict(events: Sequence[Event], t: Array) -> str:
     known = {e.hypothesis for e in likely}
     if others := [e.hypothesis for e in events if e.confidence < EVEN and e.hypothesis not in known]:
         parts.append(f"perhaps {listed(others)}")
-    return "; ".join(parts) or "no fault"
+    return "; ".join(parts) or NO_FAULT
 
 
 def unsure(suspects: Sequence[str]) -> str:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.detector import Detector, chosen
 from fusion_sfdia.core.files import all_or_none, atomic_write, locked
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.verdicts import Verdict
 from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run, present
 from fusion_sfdia.evaluation.events import ProcessEvent, open_questions
 from fusion_sfdia.logs.check import check_log, checked, without_suspects
@@ -89,10 +90,12 @@ def progress(steps: Sequence[int]) -> Iterable[int]:
 
 
 def as_text(found: Diagnosis, detector: str) -> str:
-    """The diagnosis for people: whether the model fits, of a detector that tests the process, too, the verdict, the events."""
+    """The diagnosis for people: whether the model fits, the verdict of a detector that tests the process, too, and one that is
+    neither healthy nor a sensor, the events.
+    """
     count = len(found.events)
     lines = [found.health.line] if found.health else []
-    lines += [found.verdict] if found.process_hypotheses else []
+    lines += [found.verdict] if found.process_hypotheses or found.state not in (Verdict.HEALTHY, Verdict.SENSOR) else []
     lines.append(f"{len(found.t)} readings, {count} event{'s' * (count != 1)} by {detector}")
     return "\n".join([*lines, *found.remarks, *(f"  {e.told(found.clock)}" for e in found.events)])
 
@@ -186,7 +189,8 @@ def draw(plant: Plant, y: NDArray[np.float64], found: Diagnosis) -> Figure:
 def _title(name: str, found: Diagnosis) -> str:
     count = sum(e.hypothesis == name and e.kind != "undecided" for e in found.events)
     if not found.events:
-        return f"{name}: {found.verdict if found.process_hypotheses else 'no sensor was isolated'}"
+        healthy = found.state is Verdict.HEALTHY and not found.process_hypotheses
+        return f"{name}: {'no sensor was isolated' if healthy else found.verdict}"
     return f"{name}: {count} event{'s' * (count != 1)}" if count or not found.process_hypotheses else f"{name}: not isolated"
 
 

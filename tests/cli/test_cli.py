@@ -340,7 +340,7 @@ INLET = 1 + len(PLANT.sensors)  # the column of p_inlet
 @pytest.mark.parametrize(
     ("change", "exits", "reported"),
     [
-        (filled(1, "", len(PLANT.sensors)), 0, "warning: no readings of p_0, p_1, .* and 55 more: the diagnosis is only"),
+        (filled(1, "", len(PLANT.sensors)), 1, "warning: no readings of p_0, p_1, .* and 55 more: the diagnosis is only"),
         (filled(1, ""), 0, "warning: no readings of p_0; fill"),
         (lambda rows: rows.pop(6), 0, ""),  # a gap is stepped through
         (
