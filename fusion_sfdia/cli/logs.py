@@ -87,8 +87,14 @@ def _add_log(one: Any) -> None:
 def _check_log(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.cli.tune import chosen_plant
     from fusion_sfdia.logs.check import check_log
+    from fusion_sfdia.logs.problems import LogError
 
-    found = check_log(chosen.data, chosen_plant(chosen), chosen.map, **columns(chosen))
+    try:
+        found = check_log(chosen.data, chosen_plant(chosen), chosen.map, **columns(chosen))
+    except LogError as error:
+        if chosen.json:
+            print(json.dumps([asdict(p) for p in error.problems], indent=2))
+        raise
     print(json.dumps([asdict(f) for f in found.findings], indent=2) if chosen.json else found)
     return 0
 

@@ -115,8 +115,10 @@ def _done(chosen: argparse.Namespace) -> int:
         return 130
     except (ValueError, ArithmeticError, OSError, RuntimeError, MemoryError, ModuleNotFoundError) as error:
         from fusion_sfdia.core.files import explained
+        from fusion_sfdia.logs.problems import LogError
 
-        print(f"fusion-sfdia: {' '.join(explained(error).split())}", file=sys.stderr)
+        text = str(error) if isinstance(error, LogError) else " ".join(explained(error).split())
+        print(f"fusion-sfdia: {text}", file=sys.stderr)
         full = getattr(error, "errno", 0) in (errno.ENOSPC, errno.EDQUOT)
         at_fault = isinstance(error, ValueError | OverflowError | OSError) and not isinstance(error, ModuleNotFoundError)
         return 2 if at_fault and not full else 1

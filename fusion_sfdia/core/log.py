@@ -102,15 +102,6 @@ def usual_inputs(plant: Plant, t: Array) -> Array:
     return np.array([plant.input_at(float(s)) for s in before], dtype=float).reshape(t.size, len(plant.inputs))
 
 
-def require_within_limits(where: str, plant: Plant, signal: Signal, values: Array, rows: Sequence[int] | Array) -> None:
-    """Raise ValueError, which names the row, for a value (K,) of an input beyond its limits; rows: the number of each."""
-    for k in np.flatnonzero((values < signal.low) | (values > signal.high))[:1]:
-        raise ValueError(
-            f"{where}, row {rows[k]}, column {signal.name}: {values[k]:g} {signal.unit}; plant {plant.name!r} holds "
-            f"from {signal.low:g} to {signal.high:g} {signal.unit}; correct the input or convert its unit"
-        )
-
-
 def _of_frame(plant: Plant, frame: Any, absent: bool, other: bool, nominal: bool) -> Log:
     """The columns of a pandas frame by name, the times from its column `time` or else from its index."""
     from fusion_sfdia.logs.reading import load_log

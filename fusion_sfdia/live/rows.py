@@ -17,6 +17,7 @@ from fusion_sfdia.logs.columns import find_sources, require_columns_of
 from fusion_sfdia.logs.log_map import MASK, PLAIN_MAP, LogMap
 from fusion_sfdia.logs.mask import COMPARISONS, mask_titles
 from fusion_sfdia.logs.numbers import Numbers
+from fusion_sfdia.logs.problems import Problems
 from fusion_sfdia.logs.rows import RowReader
 
 Array = NDArray[Any]
@@ -82,8 +83,11 @@ class TextRows:
 
     def _reader(self, titles: Sequence[str], units: Sequence[str] = ()) -> RowReader:
         given = units or [""] * len(titles)
-        sources = find_sources("the first line", titles, given, self.plant, self.log_map, **self.allowed)
-        mask_titles("the first line", titles, sources, self.log_map)  # refuses what is no column
+        problems = Problems("the first line")
+        sources = find_sources(problems, titles, given, self.plant, self.log_map, **self.allowed)
+        with problems.collecting("mask"):
+            mask_titles("the first line", titles, sources, self.log_map)  # refuses what is no column
+        problems.require_none()
         return RowReader(self.plant, self.log_map, sources, Numbers.of(self.log_map))
 
     def _numbers(self, row: dict[str, Any]) -> tuple[float | datetime, Array, Array]:

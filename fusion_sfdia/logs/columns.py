@@ -12,6 +12,7 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.logs.conversion import Conversion, conversion
 from fusion_sfdia.logs.log_map import SECONDS, Column, LogMap
+from fusion_sfdia.logs.problems import Problems
 from fusion_sfdia.logs.tables import some
 
 
@@ -31,12 +32,16 @@ class Source(NamedTuple):
 
 
 class Sources(NamedTuple):
-    """The columns of the times with the unit in their title, the sources of readings and inputs, and what is not used."""
+    """The columns of the times with the unit in their title, the sources of readings and inputs, and what is not used.
+
+    refused: titles of columns that feed something and whose unit does not fit it.
+    """
 
     times: tuple[str, ...]
     time_unit: str
     columns: tuple[Source, ...]
     ignored: tuple[str, ...]
+    refused: tuple[str, ...] = ()
 
     def without_column(self, plant: Plant) -> list[str]:
         """The inputs of the plant that no column feeds."""
@@ -45,7 +50,7 @@ class Sources(NamedTuple):
 
 
 def find_sources(
-    where: str,
+    problems: Problems,
     header: Sequence[str],
     units: Sequence[str],
     plant: Plant,
@@ -55,25 +60,31 @@ def find_sources(
     other: bool = False,
     nominal: bool = False,
 ) -> Sources:
-    """Return what each column of a header is; ValueError for a header that does not fit the plant or the map.
+    """Return what each column of a header is, as far as it fits the plant and the map; all that does not is added to problems.
 
     units: of the columns, "" where their titles state them. absent, other, nominal: whether sensors without a column, columns
     of nothing and inputs without a column are accepted. With columns in the map, others than its own and the plant's are not
-    used.
+    used. What follows from another problem is no problem of its own: a column of a wrong unit is no missing sensor.
     """
     long = bool(log_map.tag)
     if not long:
-        require_unique(
-            f"{where}: columns of a log of plant {plant.name!r}",
-            [*log_map.time, *plant.sensor_names, *(s.name for s in plant.inputs)],
-        )
-    _require_titles(where, header, log_map)
-    times, time_unit = ((), "") if long else _times(where, header, log_map)
+        with problems.collecting("columns"):
+            require_unique(
+                f"{problems.where}: columns of a log of plant {plant.name!r}",
+                [*log_map.time, *plant.sensor_names, *(s.name for s in plant.inputs)],
+            )
+        if len(header) == 1 and (mark := re.search(r"[;\t|,]", header[0])):
+            problems.add("separator", _of_separator(mark[0], log_map))
+            return Sources((), "", (), ())
+    if lacking := _lacking_titles(header, log_map):
+        problems.add("columns", _of_lacking(header, log_map, lacking))
+    times, time_unit = ((), "") if long else _times(problems, header, log_map)
     own: dict[str, tuple[int, bool, Sensor | Signal]] = {}
     own.update({s.name: (i, True, s) for i, s in enumerate(plant.inputs)})
     own.update({s.name: (i, False, s) for i, s in enumerate(plant.sensors)})
     found: dict[str, Source] = {}
-    unknown = []
+    named = {log_map.columns[title].name for title in lacking}  # what problems have named already
+    unknown, refused = [], []
     wrong: dict[tuple[str, str, str], list[str]] = {}
     qualities = {_quality(log_map, title, log_map.columns.get(title)) for title in header} - {""}
     for title, row_unit in zip(header, units, strict=True):
@@ -85,30 +96,37 @@ def find_sources(
             unknown.append(name)
             continue
         target = name if column is None else column.name
+        if target not in own:  # a problem of the map
+            continue
         position, is_input, signal = own[target]
-        if column is not None and bool(column.input) != is_input:
-            raise ValueError(f"{where}: {target!r} of plant {plant.name!r} is {'an input' if is_input else 'a sensor'}")
-        if target in found:
-            raise ValueError(f"{where}: the column {name!r} occurs twice; keep one")
+        if target in found or target in named:
+            problems.add("columns", f"the column {name!r} occurs twice; keep one")
+            continue
         unit = (column.unit if column else "") or bracket or row_unit
         try:
             converted = conversion(unit, signal.unit, column.scale if column else 1.0)
         except ValueError as error:
             wrong.setdefault((shown(unit), signal.unit, str(error)), []).append(name)
+            refused.append(title)
+            named.add(target)
             continue
         quality = _quality(log_map, title, column)
         if quality and quality not in header:
-            raise ValueError(f"{where}: no column {shown(quality)} with the quality of {shown(title)}; correct the map")
+            problems.add("quality", f"no column {shown(quality)} with the quality of {shown(title)}; correct the map")
+            quality = ""
         found[target] = Source(title, target, position, is_input, unit, converted, quality)
-    if wrong:
-        raise ValueError(f"{where}: {'; '.join(_of_wrong_unit(plant, *why, names) for why, names in wrong.items())}")
-    _require_needed(where, header, plant, found, absent, nominal)
-    if unknown and not other and not log_map.columns:
-        raise ValueError(
-            f"{where}: the columns {some(unknown)} are no sensors or inputs of plant {plant.name!r}; rename or remove them, "
-            "or ignore them with --other-columns (other_columns=True)"
+    for why, names in wrong.items():
+        problems.add("unit", _of_wrong_unit(plant, *why, names), count=len(names))
+    _add_missing(problems, plant, {*found, *named}, absent, nominal)
+    needs_time = not times and not long and len(unknown) == 1  # the unknown one is that of the times
+    if unknown and not other and not log_map.columns and not needs_time:
+        problems.add(
+            "columns",
+            f"the columns {some(unknown)} are no sensors or inputs of plant {plant.name!r}; rename or remove them, or ignore "
+            "them with --other-columns (other_columns=True)",
+            count=len(unknown),
         )
-    return Sources(times, time_unit, tuple(found.values()), tuple(unknown))
+    return Sources(times, time_unit, tuple(found.values()), tuple(unknown), tuple(refused))
 
 
 def _of_wrong_unit(plant: Plant, unit: str, wanted: str, error: str, names: list[str]) -> str:
@@ -117,15 +135,20 @@ def _of_wrong_unit(plant: Plant, unit: str, wanted: str, error: str, names: list
 
 
 def require_columns_of(plant: Plant, log_map: LogMap) -> None:
-    """Raise ValueError for a column of the map that is no sensor or input of the plant."""
+    """Raise LogError for columns of the map that are no sensors or inputs of the plant."""
+    problems = Problems("")
     inputs = tuple(s.name for s in plant.inputs)
     for title, c in log_map.columns.items():
         kind, names = ("input", inputs) if c.input else ("sensor", plant.sensor_names)
         if c.name not in names:
-            raise ValueError(
+            other = "a sensor" if c.input else "an input"
+            it_is = f"; there it is {other}" if c.name in (plant.sensor_names if c.input else inputs) else ""
+            problems.add(
+                "map",
                 f"the map has the {kind} {shown(c.name)} for column {shown(title)}; {kind}s of plant {plant.name!r}: "
-                f"{some(names)}"
+                f"{some(names)}{it_is}",
             )
+    problems.require_none()
 
 
 def split_title(title: str) -> tuple[str, str]:
@@ -135,47 +158,47 @@ def split_title(title: str) -> tuple[str, str]:
     return name, (unit or "").strip()
 
 
-def _require_titles(where: str, header: Sequence[str], log_map: LogMap) -> None:
-    """Raise ValueError for a column that the map names and the header lacks."""
+def _lacking_titles(header: Sequence[str], log_map: LogMap) -> list[str]:
+    """The columns that the map names and the header lacks."""
     names = {*header, *(split_title(title)[0] for title in header)}
-    if lacking := [title for title in log_map.columns if title not in names]:
-        free = [title for title in header if not {title, split_title(title)[0]} & {*log_map.columns, *log_map.time}]
-        near = {title: match for title in lacking for match in get_close_matches(title, free, n=1, cutoff=0.75)}
-        hint = f"; did you mean {some(list(near.values()))} for {some(list(near))}?" if near else ";"
-        kinds = {bool(log_map.columns[title].input) for title in lacking if title not in near}
-        options = [("--absent-sensors (absent_sensors=True)", False), ("--nominal-inputs (nominal_inputs=True)", True)]
-        given = " and ".join(option for option, is_input in options if is_input in kinds)
-        cure = f", or leave out of it what is not logged and give {given}" if given else ""
-        kind = "tags" if log_map.tag else "columns"
-        raise ValueError(
-            f"{where}: no {kind} {some(lacking)}, which the map names, among {some(header)}{hint} correct the map{cure}"
-        )
+    return [title for title in log_map.columns if title not in names]
 
 
-def _times(where: str, header: Sequence[str], log_map: LogMap) -> tuple[tuple[str, ...], str]:
-    """The titles of the columns of times, and the unit that the title of a single one states."""
+def _of_lacking(header: Sequence[str], log_map: LogMap, lacking: Sequence[str]) -> str:
+    """The problem of columns that the map names and the header lacks, with similar ones."""
+    free = [title for title in header if not {title, split_title(title)[0]} & {*log_map.columns, *log_map.time}]
+    near = {title: match for title in lacking for match in get_close_matches(title, free, n=1, cutoff=0.75)}
+    hint = f"; did you mean {some(list(near.values()))} for {some(list(near))}?" if near else ";"
+    kinds = {bool(log_map.columns[title].input) for title in lacking if title not in near}
+    options = [("--absent-sensors (absent_sensors=True)", False), ("--nominal-inputs (nominal_inputs=True)", True)]
+    given = " and ".join(option for option, is_input in options if is_input in kinds)
+    cure = f", or leave out of it what is not logged and give {given}" if given else ""
+    kind = "tags" if log_map.tag else "columns"
+    return f"no {kind} {some(lacking)}, which the map names, among {some(header)}{hint} correct the map{cure}"
+
+
+def _of_separator(mark: str, log_map: LogMap) -> str:
+    expected = f"{log_map.separator!r}, as the map states"
+    if log_map.separator == ",":
+        expected = "commas, and decimal points; or state separator in a map"
+    return f"cells are separated by {mark!r}; expected {expected}"
+
+
+def _times(problems: Problems, header: Sequence[str], log_map: LogMap) -> tuple[tuple[str, ...], str]:
+    """The titles of the columns of times, none where one is lacking, and the unit that the title of a single one states."""
     by_name = {split_title(title)[0]: title for title in reversed(header)}
-    titles = []
-    for name in log_map.time:
-        title = name if name in header else by_name.get(name)
-        if title is None and len(header) == 1 and (mark := re.search(r"[;\t|,]", header[0])):
-            raise ValueError(
-                f"{where}: cells are separated by {mark[0]!r}; expected "
-                + (
-                    "commas, and decimal points; or state separator in a map"
-                    if log_map.separator == ","
-                    else f"{log_map.separator!r}, as the map states"
-                )
-            )
-        if title is None:
-            raise ValueError(
-                f"{where}: no column {name!r} among {some(header)}; give the column of the times (s) that name, or state "
-                "`time` in a map"
-            )
-        titles.append(title)
+    titles = [name if name in header else by_name.get(name, "") for name in log_map.time]
+    if lacking := [name for name, title in zip(log_map.time, titles, strict=True) if not title]:
+        problems.add(
+            "time",
+            f"no column {some(lacking)} among {some(header)}; give the column of the times (s) that name, or state `time` in "
+            "a map",
+        )
+        return (), ""
     unit = split_title(titles[0])[1] if len(titles) == 1 else ""
     if unit and unit not in SECONDS and not log_map.format:
-        raise ValueError(f"{where}: column {log_map.time[0]!r} is in {shown(unit)}; expected one of {', '.join(SECONDS)}")
+        problems.add("time", f"column {log_map.time[0]!r} is in {shown(unit)}; expected one of {', '.join(SECONDS)}")
+        unit = ""
     return tuple(titles), "" if log_map.format else unit
 
 
@@ -185,20 +208,22 @@ def _quality(log_map: LogMap, title: str, column: Column | None) -> str:
     return "" if log_map.tag else log_map.quality.replace("{column}", split_title(title)[0])
 
 
-def _require_needed(
-    where: str, header: Sequence[str], plant: Plant, found: dict[str, Source], absent: bool, nominal: bool
-) -> None:
-    """Raise ValueError where a sensor or an input has no column, unless that is accepted, and where no sensor has one."""
-    lacking = [n for n in plant.sensor_names if n not in found]
+def _add_missing(problems: Problems, plant: Plant, named: set[str], absent: bool, nominal: bool) -> None:
+    """Add the sensors and the inputs without a column, unless that is accepted, and a log of no sensor at all."""
+    lacking = [n for n in plant.sensor_names if n not in named]
     if lacking and not absent:
-        raise ValueError(
-            f"{where}: no column for the sensors {some(lacking)} of plant {plant.name!r}; add them (empty where not read), "
-            "or take them as missing with --absent-sensors (absent_sensors=True)"
+        problems.add(
+            "sensors",
+            f"no column for the sensors {some(lacking)} of plant {plant.name!r}; add them (empty where not read), or take them "
+            "as missing with --absent-sensors (absent_sensors=True)",
+            count=len(lacking),
         )
-    if len(lacking) == len(plant.sensors):
-        raise ValueError(f"{where}: no column of any sensor of plant {plant.name!r}; sensors: {some(plant.sensor_names)}")
-    if (unset := [s.name for s in plant.inputs if s.name not in found]) and not nominal:
-        raise ValueError(
-            f"{where}: no column for the inputs {some(unset)} of plant {plant.name!r}; add them, or assume the plant's usual "
-            "inputs with --nominal-inputs (nominal_inputs=True)"
+    elif len(lacking) == len(plant.sensors):
+        problems.add("sensors", f"no column of any sensor of plant {plant.name!r}; sensors: {some(plant.sensor_names)}")
+    if (unset := [s.name for s in plant.inputs if s.name not in named]) and not nominal:
+        problems.add(
+            "inputs",
+            f"no column for the inputs {some(unset)} of plant {plant.name!r}; add them, or assume the plant's usual inputs "
+            "with --nominal-inputs (nominal_inputs=True)",
+            count=len(unset),
         )

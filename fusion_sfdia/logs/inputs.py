@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.log import require_within_limits
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.logs.columns import Source
 from fusion_sfdia.logs.findings import Finding, counted
 from fusion_sfdia.logs.log_map import AT_THE_SAMPLE, LogMap
 from fusion_sfdia.logs.mix_ups import input_mix_up
 from fusion_sfdia.logs.order import Rows
+from fusion_sfdia.logs.problems import Problems
 
 Array = NDArray[Any]
 
@@ -42,24 +42,33 @@ def before_the_first(rows: Rows, inputs: Sequence[Source], log_map: LogMap) -> A
     return early
 
 
-def require_known(where: str, rows: Rows, c: Source, u: Array, plant: Plant, needed: Array, log_map: LogMap) -> None:
-    """Raise ValueError, which names the row, for an input that is missing or beyond its limits in a row that is needed."""
+def require_known(problems: Problems, rows: Rows, c: Source, u: Array, plant: Plant, needed: Array, log_map: LogMap) -> None:
+    """Add to problems an input that is missing or beyond its limits in rows that are needed."""
     own = rows.rows if log_map.inputs != AT_THE_SAMPLE else np.concatenate([rows.rows[:1], rows.rows[:-1]])
-    values = u[:, c.position]
-    for k in np.flatnonzero(np.isnan(values) & needed)[:1]:
-        text = "''; expected a finite number: an input must be known; " + (
+    values, signal = u[:, c.position], plant.inputs[c.position]
+    missing = np.flatnonzero(np.isnan(values) & needed)
+    if missing.size:
+        cure = (
             f"it is missing for longer than hold, {log_map.hold:g} s"
             if log_map.hold
             else "state hold in a map, for how long it keeps its last value (s)"
         )
-        raise ValueError(f"{where}, row {own[k]}, column {c.title}: {text}")
-    signal, usual = plant.inputs[c.position], float(np.median(values[needed])) if needed.any() else np.nan
-    try:
-        require_within_limits(where, plant, signal, values[needed], own[needed])
-    except ValueError as error:
-        mixed = None if signal.low <= usual <= signal.high else input_mix_up(values[needed], signal)
+        text = f"''{others(missing.size)}; expected a finite number: an input must be known; {cure}"
+        problems.add("inputs", text, row=int(own[missing[0]]), column=c.title, count=missing.size)
+    beyond = needed & ((values < signal.low) | (values > signal.high))
+    if beyond.any():
+        usual = float(np.nanmedian(values[needed]))
+        mixed = None if signal.low <= usual <= signal.high else input_mix_up(values[needed & np.isfinite(values)], signal)
         hint = f": {c.name} {mixed.text}, as its nominal value is {signal.nominal:g}" if mixed else ""
-        raise ValueError(f"{error}{hint}") from error
+        k, count = int(np.argmax(beyond)), int(beyond.sum())
+        limits = f"plant {plant.name!r} holds from {signal.low:g} to {signal.high:g} {signal.unit}"
+        text = f"{values[k]:g} {signal.unit}{others(count)}; {limits}; correct the input or convert its unit{hint}"
+        problems.add("inputs", text, row=int(own[k]), column=c.title, count=count)
+
+
+def others(count: int) -> str:
+    """Behind the first of so many: in how many other rows it is."""
+    return f" (and in {counted(count - 1, 'other row')})" if count > 1 else ""
 
 
 def timing(at_the_sample: bool) -> Finding:

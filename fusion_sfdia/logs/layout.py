@@ -16,41 +16,61 @@ from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.logs.mask import mask_titles
 from fusion_sfdia.logs.numbers import NotANumberError, Numbers, good_codes
 from fusion_sfdia.logs.order import Rows, dropped, twice
+from fusion_sfdia.logs.problems import Problems
 from fusion_sfdia.logs.tables import Table, some
-from fusion_sfdia.logs.times import Times, times_of
+from fusion_sfdia.logs.times import UNKNOWN, Times, times_of, unknown_times
 
 Array = NDArray[Any]
 Laid = tuple[Sources, Rows, Times, list[Finding]]
 
 
-def wide_rows(table: Table, plant: Plant, log_map: LogMap, allowed: dict[str, bool]) -> Laid:
-    """A table with a column for each sensor and input."""
-    sources = find_sources(table.where, table.titles, table.units, plant, log_map, **allowed)
-    table.require_rows()
-    times = times_of(table, sources.times, sources.time_unit, log_map)
+def wide_rows(table: Table, plant: Plant, log_map: LogMap, allowed: dict[str, bool], problems: Problems) -> Laid:
+    """A table with a column for each sensor and input; columns that cannot be read are added to problems, and left out."""
+    sources = find_sources(problems, table.titles, table.units, plant, log_map, **allowed)
+    with problems.collecting("rows"):
+        table.require_rows()
+    if not len(table.rows):
+        problems.require_none()
+    times = unknown_times(len(table.rows))
+    if sources.times:
+        with problems.collecting("time"):
+            times = times_of(table, sources.times, sources.time_unit, log_map)
     findings: list[Finding] = []
     values = {}
-    also = [title for title in mask_titles(table.where, table.titles, sources, log_map)]
-    for title in [*(c.title for c in sources.columns), *also]:
-        values[title] = _numbers(table, title, log_map, findings)
+    also: list[str] = []
+    with problems.collecting("mask"):
+        also = mask_titles(table.where, table.titles, sources, log_map)
+    for title in dict.fromkeys([*(c.title for c in sources.columns), *sources.refused, *also]):
+        with problems.collecting("cells", title):
+            values[title] = _numbers(table, title, log_map, findings)
     for c in sources.columns:
-        if c.quality:
-            _apply_quality(table, c.quality, c.title, values[c.title], log_map, findings)
+        if c.quality and c.title in values:
+            with problems.collecting("quality", c.quality):
+                _apply_quality(table, c.quality, c.title, values[c.title], log_map, findings)
+    sources = sources._replace(columns=tuple(c for c in sources.columns if c.title in values))
     return sources, Rows(times.t, np.asarray(table.rows), values), times, findings
 
 
-def long_rows(table: Table, plant: Plant, log_map: LogMap, allowed: dict[str, bool]) -> Laid:
-    """A table with a value a row: the tag says of what."""
+def long_rows(table: Table, plant: Plant, log_map: LogMap, allowed: dict[str, bool], problems: Problems) -> Laid:
+    """A table with a value a row, whose tag states of what; what cannot be read is added to problems, and left out."""
     import pandas
 
-    for title in (*log_map.time, log_map.tag, log_map.value, *([log_map.quality] if log_map.quality else [])):
+    needed = (*log_map.time, log_map.tag, log_map.value, *([log_map.quality] if log_map.quality else []))
+    for title in needed:
         if title not in table.titles:
-            raise ValueError(f"{table.where}: no column {shown(title)} among {some(table.titles)}; correct the map")
-    table.require_rows()
+            problems.add("columns", f"no column {shown(title)} among {some(table.titles)}; correct the map")
+    with problems.collecting("rows"):
+        table.require_rows()
+    if log_map.tag not in table.titles or log_map.value not in table.titles or not len(table.rows):
+        problems.require_none()
     tags = [str(tag).strip() for tag in table.column(log_map.tag)]
     names = list(dict.fromkeys(tags))
-    sources = find_sources(table.where, names, [""] * len(names), plant, log_map, **allowed)
-    used = {c.title for c in sources.columns} | {*mask_titles(table.where, names, sources, log_map)}
+    sources = find_sources(problems, names, [""] * len(names), plant, log_map, **allowed)
+    used = {c.title for c in sources.columns}
+    with problems.collecting("mask"):
+        used |= {*mask_titles(table.where, names, sources, log_map)}
+    if not used:
+        problems.require_none()
     chosen = np.flatnonzero([tag in used for tag in tags])
     table = Table(
         table.where,
@@ -60,17 +80,26 @@ def long_rows(table: Table, plant: Plant, log_map: LogMap, allowed: dict[str, bo
         table.units,
     )
     tags = [tags[k] for k in chosen]
-    times = times_of(table, log_map.time, "", log_map, tags)
+    times = unknown_times(len(tags))
+    if {*log_map.time} <= {*table.titles}:
+        with problems.collecting("time"):
+            times = times_of(table, log_map.time, "", log_map, tags)
     findings: list[Finding] = []
-    values = _numbers(table, log_map.value, log_map, findings)
-    if log_map.quality:
-        _apply_quality(table, log_map.quality, "", values, log_map, findings)
+    values: Array | None = None
+    with problems.collecting("cells", log_map.value):
+        values = _numbers(table, log_map.value, log_map, findings)
+    if values is not None and log_map.quality in table.titles:
+        with problems.collecting("quality", log_map.quality):
+            _apply_quality(table, log_map.quality, "", values, log_map, findings)
+    if values is None or times.kind == UNKNOWN:
+        problems.require_none()
     frame = pandas.DataFrame({"t": times.t, "tag": tags, "value": values, "row": table.rows})
     again = frame.duplicated(["t", "tag"])
     if again.any():
         if log_map.duplicates == "refuse":
             k = int(again.argmax())
-            raise twice(table.text(k), log_map.time[0], f"{times.clock.at(float(times.t[k]))} of {tags[k]}")
+            with problems.collecting("order"):
+                raise twice(table.text(k), log_map.time[0], f"{times.clock.at(float(times.t[k]))} of {tags[k]}")
         findings.append(dropped(int(again.sum()), log_map))
     grouped = frame.groupby(["t", "tag"], sort=True)["value"].agg(
         "first" if log_map.duplicates == "refuse" else log_map.duplicates

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,9 @@ from fusion_sfdia.logs.log_map import AT_THE_SAMPLE, PLAIN_MAP, LogMap, load_map
 from fusion_sfdia.logs.mask import masked_rows
 from fusion_sfdia.logs.order import Rows, in_order
 from fusion_sfdia.logs.overview import overview
+from fusion_sfdia.logs.problems import Problems
 from fusion_sfdia.logs.tables import read_table, some
+from fusion_sfdia.logs.times import UNKNOWN, Times
 
 Array = NDArray[Any]
 
@@ -43,14 +47,24 @@ def load_log(
     in order, finite or missing readings, and inputs that are known and within their limits.
     """
     chosen = load_map(log_map) if isinstance(log_map, str | Path) else log_map or PLAIN_MAP
-    require_columns_of(plant, chosen)
     table = read_table(source, chosen)
+    problems = Problems(table.where)
+    with problems.collecting("map"):
+        require_columns_of(plant, chosen)
     allowed = {"absent": absent_sensors, "other": other_columns, "nominal": nominal_inputs}
     read = long_rows if chosen.tag else wide_rows
-    sources, rows, times, findings = read(table, plant, chosen, allowed)
-    rows = in_order(table.where, rows, times.clock, chosen, findings)
-    masked = masked_rows(table.where, rows, sources, chosen)
-    log = _log(table.where, rows, sources, plant, chosen, masked, findings)
+    sources, rows, times, findings = read(table, plant, chosen, allowed, problems)
+    if times.kind == UNKNOWN:  # an input without any value is missing however long it is held
+        chosen = replace(chosen, hold=inf if chosen.hold else 0.0)
+    rows = _ordered(rows, times, chosen, findings, problems)
+    masked = np.zeros(rows.t.shape, dtype=bool)
+    if not problems.of("cells", "mask", "quality"):
+        with problems.collecting("mask"):
+            masked = masked_rows(table.where, rows, sources, chosen)
+    if chosen.mask and problems.of("cells", "mask", "quality"):
+        problems.require_none()  # which rows are masked is not known, nor which need an input
+    log = _log(rows, sources, plant, chosen, masked, findings, problems)
+    problems.require_none()
     if sources.ignored:
         count = len(sources.ignored)
         findings.append(Finding("ignored", "", count, f"{counted(count, 'column')} not used: {some(sources.ignored)}"))
@@ -58,14 +72,22 @@ def load_log(
     return LoadedLog(log, times.clock, (*overview(plant, log, times), *findings), absent, sources.columns)
 
 
+def _ordered(rows: Rows, times: Times, log_map: LogMap, findings: list[Finding], problems: Problems) -> Rows:
+    """The rows with increasing times; where the map refuses theirs, that is added to problems, and they are as it could be."""
+    for tolerant in (log_map, replace(log_map, order="sort"), replace(log_map, order="sort", duplicates="first")):
+        with problems.collecting("order"):
+            return in_order(problems.where, rows, times.clock, tolerant, findings)
+    raise AssertionError("sorted rows, one for each time, are in order")
+
+
 def _log(
-    where: str,
     rows: Rows,
     sources: Sources,
     plant: Plant,
     log_map: LogMap,
     masked: Array,
     findings: list[Finding],
+    problems: Problems,
 ) -> Log:
     """Readings and inputs in the units of the plant; masked rows keep no reading, and are left out without a valid input."""
     inputs = [c for c in sources.columns if c.is_input]
@@ -92,7 +114,7 @@ def _log(
     stopped[1:] |= masked[:-1] & at_the_sample
     left_out = (stopped | early) & ~valid
     for c in inputs:
-        require_known(where, rows, c, u, plant, ~left_out, log_map)
+        require_known(problems, rows, c, u, plant, ~left_out, log_map)
     y = np.full((rows.t.size, len(plant.sensors)), np.nan)
     for c in sources.columns:
         if not c.is_input:
@@ -108,8 +130,6 @@ def _log(
             Finding("left out", "", count, f"{counted(count, 'row')} before the first value of each input left out")
         )
     if left_out.all():
-        raise ValueError(
-            f"{where}: no row with all inputs; give each input a value, or --nominal-inputs for one without a column"
-        )
+        problems.add("inputs", "no row with all inputs; give each input a value, or --nominal-inputs for one without a column")
     kept = np.flatnonzero(~left_out) if left_out.any() else slice(None)
     return Log(rows.t[kept].copy(), y[kept], u[kept])  # of the table that was read nothing is kept

@@ -14,6 +14,7 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.logs.columns import Sources, find_sources, require_columns_of
 from fusion_sfdia.logs.log_map import EXCEL, SECONDS, LogMap, zone
 from fusion_sfdia.logs.numbers import Numbers, good_codes
+from fusion_sfdia.logs.problems import Problems
 from fusion_sfdia.logs.times import EPOCH, ISO
 
 Array = NDArray[Any]
@@ -90,7 +91,9 @@ class RowReader(NamedTuple):
 def row_reader(plant: Plant, log_map: LogMap, titles: Sequence[str], *, absent_sensors: bool = False) -> RowReader:
     """Return the reader of rows with these titles; other columns are not used. ValueError where they do not fit the plant."""
     require_columns_of(plant, log_map)
+    problems = Problems("the rows")
     sources = find_sources(
-        "the rows", titles, [""] * len(titles), plant, log_map, absent=absent_sensors, other=True, nominal=False
+        problems, titles, [""] * len(titles), plant, log_map, absent=absent_sensors, other=True, nominal=False
     )
+    problems.require_none()
     return RowReader(plant, log_map, sources, Numbers.of(log_map))

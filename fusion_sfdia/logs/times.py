@@ -34,6 +34,14 @@ class Times(NamedTuple):
     kind: str  # how the times were written, in words
 
 
+UNKNOWN = "unknown"
+
+
+def unknown_times(count: int) -> Times:
+    """Times in place of those that cannot be read, by which the other columns of so many rows are looked through."""
+    return Times(np.arange(count, dtype=float), Clock(), UNKNOWN)
+
+
 def times_of(table: Table, titles: Sequence[str], unit: str, log_map: LogMap, tags: Sequence[str] | None = None) -> Times:
     """Return the times of a table from the columns of these titles, one, or two that are joined.
 

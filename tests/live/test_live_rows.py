@@ -91,7 +91,7 @@ def test_json_by_its_keys() -> None:
 
 def test_a_first_line_that_does_not_fit_the_plant_is_refused_as_that_of_a_log() -> None:
     for line in ("time,l1\n", '{"time": 5, "l1": 1}'):
-        with pytest.raises(ValueError, match="the first line: no column for the sensors 'l2', 'q12', 'q2'"):
+        with pytest.raises(ValueError, match="the first line: 2 problems\n  no column for the sensors 'l2', 'q12', 'q2'"):
             TextRows(tanks()).row(line)
     with pytest.raises(ValueError, match="no column for the inputs 'inflow'"):
         TextRows(tanks(), absent_sensors=True).row("time,l1\n")

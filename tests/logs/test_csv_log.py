@@ -125,7 +125,8 @@ def test_inputs_beyond_their_limits(tmp_path):
     plant = replace(tanks(), inputs=(Signal("inflow", "m3/s", 6e-4, 0.0, 1.0),))
     path = log(tmp_path, HEADER + ",inflow\n1,1,1,1,1,1\n\n2,1,1,1,1,7\n3,1,1,1,1,8\n")
     with pytest.raises(
-        ValueError, match=r"log.csv, row 4, column inflow: 7 m3/s; plant 'two-tanks' holds from 0 to 1 m3/s; correct"
+        ValueError,
+        match=r"log.csv, row 4, column inflow: 7 m3/s \(and in 1 other row\); plant 'two-tanks' holds from 0 to 1 m3/s; ",
     ):
         read_log(path, plant)
 

@@ -80,7 +80,9 @@ def test_a_missing_input_is_held_for_as_long_as_stated(tmp_path: Path) -> None:
     assert words(found, "held") == ["2 inflow values held"]
     with pytest.raises(ValueError, match=r"row 5, column inflow: ''; expected a finite number: .* longer than hold, 9 s"):
         load(tmp_path, cells, hold=9.0, inputs="until the sample")
-    with pytest.raises(ValueError, match=r"row 4, column inflow: ''; expected a finite number: .* state hold in a map"):
+    with pytest.raises(
+        ValueError, match=r"row 4, column inflow: '' \(and in 1 other row\); expected a finite number: .* state hold in a map"
+    ):
         load(tmp_path, cells)
     cells[0][5] = ""
     early = load(tmp_path, cells, hold=True)
@@ -235,7 +237,7 @@ def test_a_unit_that_does_not_convert_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="'inflow' is in 'm3/s', plant 'two-tanks' has it in 'pint of beer'"):
         load_log(path, plant)
     path.write_text("time,l1 [%],l2 [%],q12 [rpm],q2,inflow\n1,1,1,1,1,1\n")
-    with pytest.raises(ValueError, match=r"columns 'l1', 'l2' are in '%', .* for 4 m; column 'q12' is in 'rpm', "):
+    with pytest.raises(ValueError, match=r"columns 'l1', 'l2' are in '%', .* for 4 m\n  column 'q12' is in 'rpm', "):
         load_log(path, PLANT)
 
 

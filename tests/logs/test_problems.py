@@ -1,0 +1,168 @@
+"""All problems of a log in one error: each once, none that follows from another."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fusion_sfdia.cli.main import main
+from fusion_sfdia.core.linear import linear_plant
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.logs.log_map import Column, LogMap
+from fusion_sfdia.logs.problems import LogError, Problem, Problems
+from fusion_sfdia.logs.reading import load_log
+
+
+def boiler() -> Plant:
+    """Three sensors and two inputs whose readings need no equations."""
+    return linear_plant(
+        "boiler", 0.9 * np.eye(1), np.ones((3, 1)),
+        [Sensor("pressure", "p", "bar", sigma=0.1), Sensor("steam", "q", "kg/s", sigma=0.1),
+         Sensor("drum", "T", "degC", sigma=0.1)],
+        dt=60.0, x0=np.ones(1), initial_cov=np.ones(1), process_cov=np.ones(1), input_matrix=np.ones((1, 2)),
+        inputs=[Signal("feed", "kg/s", 1.0, 0.0, 5.0), Signal("fuel", "kg/s", 1.0, 0.0, 5.0)],
+    )  # fmt: skip
+
+
+PLANT = boiler()
+HERE = f"{__file__}:boiler"
+GOOD = ["time,pressure,steam,drum,feed,fuel", *(f"{60 * k},10,1,180,1,1" for k in range(8))]
+
+
+def refused(tmp_path: Path, lines: Sequence[str], log_map: LogMap | None = None) -> tuple[Problem, ...]:
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.raises(LogError) as caught:
+        load_log(path, PLANT, log_map)
+    return caught.value.problems
+
+
+def test_one_run_states_problems_of_every_kind(tmp_path: Path) -> None:
+    lines = [
+        "time,pressure [furlong],steam,drum,feed,extra",
+        "0,10,1,180,1,0",
+        "60,10,ERR,180,9,0",
+        "180,10,1,18o,,0",
+        "120,1o,1,180,,0",
+        "180,10,ERR,180,1,0",
+    ]
+    found = refused(tmp_path, lines)
+    places = {(p.kind, p.row, p.column) for p in found}
+    assert places == {
+        ("unit", 0, ""),  # furlong
+        ("inputs", 0, ""),  # no fuel
+        ("columns", 0, ""),  # extra
+        ("cells", 5, "pressure [furlong]"),  # also of a column whose unit is refused
+        ("cells", 3, "steam"),
+        ("cells", 4, "drum"),
+        ("order", 5, "time"),
+        ("order", 6, "time"),  # 180 s again
+        ("inputs", 3, "feed"),  # 9 kg/s
+        ("inputs", 5, "feed"),  # missing, in the order of the times
+    }
+    assert all(p.where == str(tmp_path / "log.csv") for p in found)
+
+
+def test_problems_of_a_kind_in_a_column_are_counted(tmp_path: Path) -> None:
+    lines = [GOOD[0], *(f"{60 * k},10,1,180,{'' if k % 2 else 9},1" for k in range(9))]
+    beyond, missing = sorted(refused(tmp_path, lines), key=lambda p: p.row)
+    assert (beyond.row, beyond.count, missing.row, missing.count) == (2, 5, 3, 4)
+    assert "(and in 4 other rows)" in beyond.text and "(and in 3 other rows)" in missing.text
+
+
+def test_what_follows_from_another_problem_is_not_one(tmp_path: Path) -> None:
+    (unit,) = refused(tmp_path, ["time,pressure [furlong],steam,drum,feed,fuel", *GOOD[1:]])
+    assert unit.kind == "unit"  # and pressure is no missing sensor
+    (time,) = refused(tmp_path, ["Date,pressure,steam,drum,feed,fuel", *GOOD[1:]])
+    assert time.kind == "time"  # and Date no superfluous column, and 0 no wrong order
+    (separator,) = refused(tmp_path, [line.replace(",", ";") for line in GOOD])
+    assert separator.kind == "separator"
+    (cells,) = refused(tmp_path, [*GOOD[:3], "120,10,1,180,on,1", *GOOD[4:]])
+    assert (cells.kind, cells.row, cells.column) == ("cells", 4, "feed")  # and feed is not missing
+    (stamps,) = refused(tmp_path, [*GOOD[:3], "soon,10,1,180,1,1", *GOOD[4:]])
+    assert (stamps.kind, stamps.row, stamps.column) == ("time", 4, "time")
+    columns = {"P1": Column("pressure"), "S": Column("steam"), "T": Column("drum"), "feed": Column(input="feed")}
+    columns["fuel"] = Column(input="fuel")
+    (title,) = refused(tmp_path, [GOOD[0].replace("pressure,steam,drum", "P2,S,T"), *GOOD[1:]], LogMap(columns=columns))
+    assert "'P1', which the map names" in str(title)  # and pressure is no missing sensor
+
+
+def test_a_map_for_another_plant_and_the_log_are_stated_together(tmp_path: Path) -> None:
+    columns = {"a": Column("presure"), "steam": Column(input="steam"), "drum": Column("drum")}
+    columns |= {"feed": Column(input="feed"), "fuel": Column(input="fuel")}
+    found = refused(tmp_path, ["time,a,steam,drum,feed,fuel", "0,1,1,1,1,x"], LogMap(columns=columns))
+    assert [(p.kind, p.column) for p in found] == [("map", ""), ("map", ""), ("sensors", ""), ("cells", "fuel")]
+    assert "'presure' for column 'a'" in str(found[0]) and "there it is a sensor" in str(found[1])
+
+
+def test_missing_inputs_are_not_stated_where_the_mask_is_unknown(tmp_path: Path) -> None:
+    lines = [*GOOD[:3], "120,x,1,180,,1", *GOOD[4:]]
+    (cells,) = refused(tmp_path, lines, LogMap(mask=("pressure < 1",)))
+    assert cells.kind == "cells"
+
+
+def test_inputs_with_unknown_times_are_missing_only_without_any_value(tmp_path: Path) -> None:
+    lines = [*GOOD[:3], "soon,10,1,180,,1", *GOOD[4:]]
+    (time,) = refused(tmp_path, lines, LogMap(hold=60.0))
+    assert time.kind == "time"
+    time, feed = refused(tmp_path, lines)
+    assert (feed.row, feed.column) == (4, "feed")
+
+
+def test_a_long_table_states_columns_and_tags_together(tmp_path: Path) -> None:
+    log_map = LogMap(tag="tag", value="value", columns={"p": Column("pressure"), "s": Column("steam", unit="m")})
+    found = refused(tmp_path, ["stamp,tag,value", "0,p,1", "0,s,1", "60,p,x"], log_map)
+    assert [p.kind for p in found] == ["columns", "unit", "sensors", "inputs", "cells"]
+    assert found[-1].row == 4
+
+
+def test_columns_with_the_same_problem_share_a_line_and_one_problem_is_as_it_was() -> None:
+    problems = Problems("log.csv")
+    for k, column in enumerate(("a", "b", "c")):
+        problems.add("cells", f"'x{k}'; expected a number", row=k + 2, column=column)
+    with pytest.raises(LogError) as caught:
+        problems.require_none()
+    assert str(caught.value) == "log.csv: 3 problems\n  3 columns (a, b, c), first row 2, column a: 'x0'; expected a number"
+    assert str(LogError([problems.problems[0]])) == "log.csv, row 2, column a: 'x0'; expected a number"
+    many = LogError([Problem("cells", "log.csv", k, f"c{k}", 1, "'x'", f"cure {k}") for k in range(500)])
+    assert str(many).count("\n") == 30 and str(many).endswith("and 471 more problems")
+    assert str(pickle.loads(pickle.dumps(many))) == str(many)
+
+
+@pytest.mark.parametrize(
+    ("text", "row", "column", "message"),
+    [
+        ("log.csv, row 3, column a: b: 'x'; expected y", 3, "a: b", "'x'; expected y"),
+        ("log.csv, column a: b: 'x'", 0, "a: b", "'x'"),
+        ("log.csv: the row; below", 0, "", "the row; below"),
+        ("log.csv, row 12, column time: 1 s after 2 s; sort", 12, "time", "1 s after 2 s; sort"),
+        ("another file: x; y", 0, "", "another file: x; y"),
+    ],
+)
+def test_an_error_on_a_place_is_taken_apart(text: str, row: int, column: str, message: str) -> None:
+    found = Problem.of("cells", "log.csv", ValueError(text), "a: b")
+    assert (found.row, found.column, found.message) == (row, column, message)
+    assert str(found) == text
+
+
+def test_the_command_prints_problems_as_lines_and_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([GOOD[0].replace(",fuel", ""), "0,x,1,180,1", "60,1,1,180,"]) + "\n")
+    given = ["check-log", "--plant", HERE, "--data", str(path)]
+    assert main(given) == 2
+    printed, err = capsys.readouterr()
+    assert printed == "" and len(err.splitlines()) == 4 and "log.csv: 3 problems" in err
+    assert main([*given, "--json"]) == 2
+    found = json.loads(capsys.readouterr().out)
+    assert [(p["kind"], p["row"], p["column"]) for p in found] == [
+        ("inputs", 0, ""),
+        ("cells", 2, "pressure"),
+        ("inputs", 3, "feed"),
+    ]
+    assert all(p["cure"] for p in found)
