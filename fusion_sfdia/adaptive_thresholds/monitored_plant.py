@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import number
-from fusion_sfdia.core.detector import NotApplicableError
+from fusion_sfdia.core.detector import NotApplicableError, require_no_cycles
 from fusion_sfdia.core.modules import Modules
 from fusion_sfdia.core.plant import Plant
 
@@ -25,6 +25,7 @@ def modules_of(plant: Plant) -> Modules:
             f"plant {plant.name!r} does not state its scalar equations; give Plant(structure=Structure(modules=Modules(...))) "
             "or take another detector"
         )
+    require_no_cycles(plant, "monitoring modules")
     return plant.structure.modules
 
 

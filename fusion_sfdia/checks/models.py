@@ -81,6 +81,7 @@ def jacobians_are_derivatives(plant: Plant) -> None:
     """The Jacobians of step and output agree with central differences, each row relative to its largest entry, about x0 and
     along the usual operation.
     """
+    on_turn = {"step": plant.states_near, "output": plant.near}
     for t, x in ((0.0, points(plant)), along_operation(plant)):
         u = plant.input_at(t)
         of_runs = np.broadcast_to(u, (len(x), u.size))
@@ -89,7 +90,9 @@ def jacobians_are_derivatives(plant: Plant) -> None:
             "output": np.broadcast_to(plant.output_jacobian_at(t, x, of_runs), (len(x), len(plant.sensors), x.shape[-1])),
         }
         for (what, function), used in zip(functions(plant, t).items(), plant.non_analytic, strict=True):
-            expected = difference_jacobian(partial(_at, function, u), x, plant.state_scale) * plant.state_scale
+            expected = (
+                difference_jacobian(partial(_at, function, u, x, on_turn[what]), x, plant.state_scale) * plant.state_scale
+            )
             scale = np.abs(expected).max(axis=-1, keepdims=True) + np.finfo(float).tiny
             if getattr(plant.numerics, f"{what}_jacobian") is not None:
                 text = f"{what}_jacobian of plant {plant.name!r} is not the derivative of {what}; correct it or leave it out"
@@ -141,5 +144,6 @@ def _require_close(found: Array, expected: Array, text: str) -> None:
     assert_allclose(found / scale, expected / scale, rtol=0, atol=ROUNDED, err_msg=text)
 
 
-def _at(function: Callable[[Array, Array], Array], u: Array, x: Array) -> Array:
-    return function(x, u)
+def _at(function: Callable[[Array, Array], Array], u: Array, about: Array, near: Callable[..., Array], x: Array) -> Array:
+    """The values at the points x (B, k, n), cyclic ones on the turn of those at `about` (B, n)."""
+    return near(function(x, u), function(about, u)[:, None])

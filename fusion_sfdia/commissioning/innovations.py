@@ -107,6 +107,7 @@ def filtered(model: Plant, log: Log) -> Iterator[Sample]:
         model.check_dt(t - before)
         prior = filter_.predict(model, core, before, u, t - before, rng)
         joint = filter_.joint(model, prior, t, u)
+        y = model.near(y, joint.y)
         used = np.isfinite(y)
         half = half_inverse(joint.S, used)
         normal = (np.swapaxes(half, -1, -2) @ np.where(used, y - joint.y, 0.0)[..., None])[..., 0]

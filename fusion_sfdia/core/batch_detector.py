@@ -153,6 +153,8 @@ class BatchDetector(ABC):
         if diverged.any():
             after = keep_broken_out(diverged, after, self._start(diverged.shape, now.seed))
             found = vars(without_broken(Decision(**found), diverged))
+        if self.plant.cyclic_sensors is not None:
+            found["reconstruction"] = self.plant.near(found["reconstruction"], y)
         if single:
             diverged, after = diverged[0, ...], as_single(after)
             found = {name: None if a is None else a[0, ...] for name, a in found.items()}

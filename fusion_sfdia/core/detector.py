@@ -40,6 +40,16 @@ class ProcessHypothesis(NamedTuple):
     nominal: float
 
 
+def require_no_cycles(plant: Plant, what: str) -> None:
+    """Raise NotApplicableError for a plant with cyclic readings, which `what` would take for large changes."""
+    if (found := plant.cyclic_sensors) is not None:
+        names = ", ".join(plant.sensor_names[i] for i in found.at)
+        raise NotApplicableError(
+            f"the readings of {names} are cyclic, which {what} do not take into account; use a detector with a model, such as "
+            "loo-glr, or leave these sensors out of the plant"
+        )
+
+
 @dataclass(frozen=True)
 class Decision:
     """The result of one step; leading axes are the batch (and time, in a run).

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from math import isfinite
 from typing import Any
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.analytic import WRONG, Use, non_analytic
 from fusion_sfdia.core.arguments import floats, number, require_unique
 from fusion_sfdia.core.covariance import diagonal, require_covariance
+from fusion_sfdia.core.cyclic import Cyclic, cyclic, near
 from fusion_sfdia.core.differentiable import with_jacobian
 from fusion_sfdia.core.equation import complex_step_holds, complex_step_jacobian, difference_jacobian
 from fusion_sfdia.core.limits import within
@@ -137,6 +138,26 @@ class Plant:
         return np.array([s.scale for s in self.sensors])
 
     @cached_property
+    def cyclic_sensors(self) -> Cyclic | None:
+        """The sensors whose readings are cyclic: those that state a period, or measure a variable that does."""
+        period = {s.name: s.period for s in (*self.states, *self.inputs) if s.period is not None}
+        of_measured = [None if s.measures not in period else period[s.measures] * s.scale for s in self.sensors]
+        return cyclic([own if s.period is None else s.period for s, own in zip(self.sensors, of_measured, strict=True)])
+
+    @cached_property
+    def cyclic_states(self) -> Cyclic | None:
+        """The states that are cyclic."""
+        return cyclic([s.period for s in self.states])
+
+    def near(self, y: Array, expected: Array) -> Array:
+        """Readings (..., N) on the turn of the expected ones (..., N): y - expected is then the wrapped residual."""
+        return near(y, expected, self.cyclic_sensors)
+
+    def states_near(self, x: Array, other: Array) -> Array:
+        """States (..., n) on the turn of others (..., n)."""
+        return near(x, other, self.cyclic_states)
+
+    @cached_property
     def state_scale(self) -> Array:
         """A scale for each state (n,): the larger standard deviation of x0 and of one step's noise; where both are 0, the
         initial_sigma of its signal, or 1.
@@ -189,7 +210,9 @@ class Plant:
             return self.jacobian_of_shape("step_jacobian", jacobian(t_start, x, u, dt), len(self.states))
         if self._complex_step_holds[0]:
             return complex_step_jacobian(lambda p: self.step(t_start, p, u[..., None, :], dt), x)
-        return difference_jacobian(lambda p: self.step(t_start, p, u[..., None, :], dt), x, self.state_scale)
+        here = x if self.cyclic_states is None else self.step(t_start, x, u, dt)[..., None, :]
+        ahead = partial(self.step, t_start)
+        return difference_jacobian(lambda p: self.states_near(ahead(p, u[..., None, :], dt), here), x, self.state_scale)
 
     def output_jacobian_at(self, t: float, x: Array, u: Array) -> Array:
         """H = d output / d x, (..., N, n) or (N, n) where it is the same for the whole batch."""
@@ -197,7 +220,8 @@ class Plant:
             return self.jacobian_of_shape("output_jacobian", jacobian(t, x, u), len(self.sensors))
         if self._complex_step_holds[1]:
             return complex_step_jacobian(lambda p: self.output(t, p, u[..., None, :]), x)
-        return difference_jacobian(lambda p: self.output(t, p, u[..., None, :]), x, self.state_scale)
+        here = x if self.cyclic_sensors is None else self.output(t, x, u)[..., None, :]
+        return difference_jacobian(lambda p: self.near(self.output(t, p, u[..., None, :]), here), x, self.state_scale)
 
     @cached_property
     def jacobians(self) -> tuple[StepFunction | None, OutputFunction | None]:
@@ -296,8 +320,10 @@ class Plant:
 
     @cached_property
     def state_limits(self) -> tuple[Array, Array]:
-        """Lower and upper limits of the states, (n,) each."""
-        return np.array([s.low for s in self.states]), np.array([s.high for s in self.states])
+        """Lower and upper limits of the states, (n,) each; none of a cyclic state whose limits are a period apart."""
+        whole = np.array([s.period is not None and s.high - s.low >= s.period * (1 - 1e-9) for s in self.states])
+        low, high = np.array([s.low for s in self.states]), np.array([s.high for s in self.states])
+        return np.where(whole, -np.inf, low), np.where(whole, np.inf, high)
 
     def guard(self, x: Array) -> tuple[Array, Array]:
         """Return x (..., n) moved into the limits of the states, and whether any state was moved (...)."""

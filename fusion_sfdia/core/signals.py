@@ -15,7 +15,10 @@ class Signal:
 
     Of a state, in its unit: initial_sigma, the standard deviation of its initial value about the nominal value, and
     process_sigma, that of the process noise over one nominal time step of the plant. None where the plant states its
-    covariances itself. Raises ValueError for a nominal value outside the limits and a negative or infinite sigma.
+    covariances itself. period: of a cyclic variable, in its unit, such as 360 for an angle in degrees: values that differ by
+    it are the same, so that residuals of the sensors that measure the variable are wrapped into [-period/2, period/2), and
+    limits that are a period or more apart do not apply. Raises ValueError for a nominal value outside the limits, a negative or
+    infinite sigma, and a period that is not positive and finite.
     """
 
     name: str
@@ -25,6 +28,7 @@ class Signal:
     high: float = np.inf
     initial_sigma: float | None = None
     process_sigma: float | None = None
+    period: float | None = None
 
     def __post_init__(self) -> None:
         for what in ("nominal", "low", "high"):
@@ -39,6 +43,7 @@ class Signal:
         for what, sigma in (("initial_sigma", self.initial_sigma), ("process_sigma", self.process_sigma)):
             if sigma is not None and not 0 <= number(f"signal {self.name!r}: {what}", sigma) < np.inf:
                 raise ValueError(f"signal {self.name!r}: {what} is {sigma}; it must be finite and at least 0, or left out")
+        _require_period(f"signal {self.name!r}", self.period)
 
 
 @dataclass(frozen=True)
@@ -47,8 +52,10 @@ class Sensor:
 
     A missing sigma is that of a uniform error within the bound (bound/sqrt 3); a missing bound is inf.
     owner: the subsystem or area that reads the sensor. quantity: the kind of variable it measures ("pressure"), by which
-    results are grouped. scale: its reading over the variable in SI; `Plant.in_units` sets it.
-    Raises ValueError for noise that is missing or not positive and finite, and for a scale of 0 or one that is not finite.
+    results are grouped. scale: its reading over the variable in SI; `Plant.in_units` sets it. period: of cyclic readings, in
+    the sensor's unit; None for that of the variable that it measures, if that has one.
+    Raises ValueError for noise or a period that is not positive and finite, noise that is missing, and a scale of 0 or one that
+    is not finite.
     """
 
     name: str
@@ -59,6 +66,7 @@ class Sensor:
     owner: str = ""
     quantity: str = ""
     scale: float = 1.0
+    period: float | None = None
 
     def __post_init__(self) -> None:
         for what, value in (("sigma", self.sigma), ("bound", self.bound)):
@@ -68,6 +76,7 @@ class Sensor:
             raise ValueError(f"sensor {self.name!r} states no noise; give sigma, bound or both")
         if not 0 < abs(number(f"sensor {self.name!r}: scale", self.scale)) < np.inf:
             raise ValueError(f"sensor {self.name!r}: scale is {self.scale}; it must be finite and not 0")
+        _require_period(f"sensor {self.name!r}", self.period)
 
     @property
     def noise_sigma(self) -> float:
@@ -78,3 +87,8 @@ class Sensor:
     def noise_bound(self) -> float:
         """Largest error of the reading, in the sensor's unit; inf where none is stated."""
         return np.inf if self.bound is None else self.bound
+
+
+def _require_period(whose: str, period: float | None) -> None:
+    if period is not None and not 0 < number(f"{whose}: period", period) < np.inf:
+        raise ValueError(f"{whose}: period is {period}; it must be positive and finite, such as 360 in degrees, or left out")

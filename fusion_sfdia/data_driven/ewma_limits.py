@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import number, probability
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
-from fusion_sfdia.core.detector import Decision
+from fusion_sfdia.core.detector import Decision, require_no_cycles
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.data_driven.fixed_limits import FixedLimits, largest
 from fusion_sfdia.data_driven.healthy_limits import healthy_readings, per_sensor, stuck, upper_limit, without_model
@@ -54,6 +54,7 @@ class EwmaLimits(BatchDetector):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        require_no_cycles(self.plant, "limits of readings and of their changes")
         for what in ("centre", "level", "change", "average"):
             value = per_sensor(self.plant, what, getattr(self, what))
             if what != "centre" and not np.all(value > 0):

@@ -13,7 +13,7 @@ from scipy.special import ndtri
 
 from fusion_sfdia.core.arguments import floats, probability
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
-from fusion_sfdia.core.detector import Decision, check_reading
+from fusion_sfdia.core.detector import Decision, check_reading, require_no_cycles
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.state import State
 from fusion_sfdia.data_driven.healthy_limits import healthy_readings, noise_floor, per_sensor, stuck, upper_limit, without_model
@@ -50,6 +50,7 @@ class FixedLimits(BatchDetector):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        require_no_cycles(self.plant, "limits of readings and of their changes")
         for what in ("centre", "level", "change"):
             value = per_sensor(self.plant, what, getattr(self, what))
             if what != "centre" and not np.all(value > 0):

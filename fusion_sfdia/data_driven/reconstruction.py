@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import shown, whole
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
-from fusion_sfdia.core.detector import Decision
+from fusion_sfdia.core.detector import Decision, require_no_cycles
 from fusion_sfdia.data_driven.component_model import ComponentModel, Reconstruction
 from fusion_sfdia.data_driven.healthy_limits import without_model
 
@@ -42,6 +42,7 @@ class ReconstructionDetector(BatchDetector):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        require_no_cycles(self.plant, "relations that are learnt from readings")
         if not isinstance(self.model, ComponentModel) or self.model.plant is not self.plant:
             raise ValueError(f"model is {shown(self.model)}; expected a ComponentModel of plant {self.plant.name!r}")
         if whole("max_faults", self.max_faults, least=1) > (n := len(self.plant.sensors)):

@@ -90,6 +90,7 @@ def seen_at(model: Plant, core: GaussianState, before: Any, now: Any, dt: float,
     """A step of the filter over dt (s) to the readings y (..., N) of which some are used (..., N)."""
     prior = FILTER.predict(model, core, before, u, dt, NO_DRAWS)
     joint = FILTER.joint(model, prior, now, u)
+    y = model.near(y, joint.y)
     after = condition(joint, y, use)
     sound = ~prior.lost & finite(after.x) & finite(after.P.reshape(*after.x.shape[:-1], -1))
     w = np.where(use, np.diagonal(after.inverse, axis1=-2, axis2=-1), np.nan)
@@ -99,11 +100,15 @@ def seen_at(model: Plant, core: GaussianState, before: Any, now: Any, dt: float,
         left = ~np.all(use, axis=-1)
         x, P, given, unused = after.x[left], after.P[left], u[left], ~use[left]
         h = model.output_jacobian_at(now, x, given)
-        error[left] = np.where(unused, y[left] - model.output(now, x, given), error[left])
+        error[left] = np.where(unused, _apart(model, y[left], model.output(now, x, given)), error[left])
         variance[left] = np.where(unused, np.sum((h @ P) * h, axis=-1) + model.sensor_cov, variance[left])
     sd = np.sqrt(variance)
     normal = np.where(use, d / np.sqrt(np.diagonal(joint.S, axis1=-2, axis2=-1)), np.nan)
     return Seen(GaussianState(after.x, after.P), sound, Hindsight(error, sd, normal, after.nis, np.sum(use, axis=-1)))
+
+
+def _apart(model: Plant, y: Array, expected: Array) -> Array:
+    return np.asarray(model.near(y, expected) - expected)
 
 
 def keep(found: Hindsight, samples: Any, seen: Seen, own: Any = ...) -> None:

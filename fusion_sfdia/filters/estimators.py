@@ -18,7 +18,12 @@ from fusion_sfdia.core.detector import NotApplicableError
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters import ekf, enkf, gaussian, ukf
 from fusion_sfdia.filters.gaussian import Joint
-from fusion_sfdia.filters.guarded_steps import guarded_points, guarded_step_and_jacobian, readings_and_jacobian, readings_of
+from fusion_sfdia.filters.guarded_steps import (
+    guarded_points,
+    guarded_step_and_jacobian,
+    readings_and_jacobian,
+    readings_of_points,
+)
 from fusion_sfdia.filters.repeated import repeated_readings
 
 Array = NDArray[Any]
@@ -172,8 +177,7 @@ class Unscented(_Moments):
         if plant.linear[1]:
             spread = p if prior.propagated is None else prior.propagated
             return Extended().joint(plant, prior._replace(core=GaussianState(x, spread)), t, u)._replace(P=p)
-        over = np.expand_dims(u, -2)
-        found = ukf.joint(self.points, x, p, lambda s: readings_of(plant, t, s, over), plant.sensor_cov, prior.propagated)
+        found = ukf.joint(self.points, x, p, lambda s: readings_of_points(plant, t, s, u), plant.sensor_cov, prior.propagated)
         return found._replace(considered=plant.considered)
 
 
@@ -199,15 +203,13 @@ class Ensemble:
         if plant.linear[1]:
             moments = GaussianState(*enkf.moments(prior.core.members))
             return Extended().joint(plant, prior._replace(core=moments), t, u)
-        over = np.expand_dims(u, -2)
-        return enkf.joint(prior.core.members, lambda s: readings_of(plant, t, s, over), plant.sensor_cov)
+        return enkf.joint(prior.core.members, lambda s: readings_of_points(plant, t, s, u), plant.sensor_cov)
 
     def assimilate(self, plant: Plant, prior: Prior, reading: Reading, x: Array, p: Array, rng: np.random.Generator) -> Core:
-        over = np.expand_dims(reading.u, -2)
         members = enkf.update(
             self.settings,
             prior.core.members,
-            lambda s: plant.output(reading.t, s, over),
+            lambda s: readings_of_points(plant, reading.t, s, reading.u),
             reading.y,
             plant.sensor_cov * reading.noise_gain,
             rng,

@@ -76,6 +76,7 @@ def guarded_points(plant: Plant, t_start: float, x: Array, u: Array, dt: float) 
     steps; at rest, it would enlarge their covariance by the distance that they have moved.
     """
     start, ahead, moved, stuck, lost = guarded_step(plant, t_start, x, np.expand_dims(u, -2), dt)
+    ahead = plant.states_near(ahead, ahead[..., :1, :])
     if stuck.any():
         sound = np.maximum(np.sum(~stuck, axis=-1), 1)[..., None]
         drift = np.sum(ahead - start, axis=-2) / sound  # stuck points have not moved
@@ -87,6 +88,12 @@ def guarded_points(plant: Plant, t_start: float, x: Array, u: Array, dt: float) 
 def readings_of(plant: Plant, t: float, x: Array, u: Array) -> Array:
     """Return the readings (..., N) of the plant in states x (..., n); ValueError where its output has another shape."""
     return _of_sensors(plant, x, np.asarray(plant.output(t, x, u)))
+
+
+def readings_of_points(plant: Plant, t: float, x: Array, u: Array) -> Array:
+    """`readings_of` the points (..., M, n) of an estimate under its input u (..., m), cyclic ones on the turn of the first."""
+    y = readings_of(plant, t, x, np.expand_dims(u, -2))
+    return plant.near(y, y[..., :1, :])
 
 
 def readings_and_jacobian(plant: Plant, t: float, x: Array, u: Array) -> tuple[Array, Array]:

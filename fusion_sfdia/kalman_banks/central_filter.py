@@ -51,6 +51,7 @@ class CentralFilter(BatchDetector):
             drawn = [step_stream(now.seed, now.k + offset) for offset in (0, 2**32)]
         prior = est.predict(plant, memory, now.t_start, u, now.dt, drawn[0])
         joint = est.joint(plant, prior, now.t, u)
+        y = plant.near(y, joint.y)
         found = statistics(joint, y, np.isfinite(y))
         x, p = posterior(joint, found)
         after = est.assimilate(plant, prior, Reading(now.t, y, u), x, p, drawn[1])

@@ -114,7 +114,7 @@ class ExcludingBank(BatchDetector):
         expected = plant.output(now.t, x, u)
         h = plant.output_jacobian_at(now.t, x, u)
         variance = (variances(h, p) if plant.sparse[1] else np.sum((h @ p) * h, axis=-1)) + plant.sensor_cov
-        error = y - expected  # used for excluded sensors, which do not enter `expected`
+        error = plant.near(y, expected) - expected  # used for excluded sensors, which do not enter `expected`
         if self.accommodate:
             exclusion = readmit(exclusion, error, variance, tested.limit, -np.log(self.false_alarm / y.shape[-1]))
             exclusion = exclude(exclusion, tested.isolated, error)

@@ -153,10 +153,11 @@ class FusingBank(BatchDetector):
         plant, scale = self.plant, np.asarray(self.residual_scale or self.plant.state_scale)
         prior = self._predict(memory, y.ndim - 1, now, u)
         joints = [self.estimator.joint(plant, p, now.t, u) for p in prior]
+        y = plant.near(y, joints[0].y)
         used = np.isfinite(y)
         founds, local = self._update(joints, y, used)
         mixed = self._mix(joints, founds, local, y)
-        seen = plant.output(now.t, local, u[..., None, :])
+        seen = plant.near(plant.output(now.t, local, u[..., None, :]), joints[0].y[..., None, :])
         variance, distance = disagreement(local, seen, mixed.x, scale)
         residual = np.where(used, np.sqrt(variance), np.nan)
         limits = np.inf if self.thresholds is None else self.threshold_scale * np.asarray(self.thresholds)

@@ -120,6 +120,7 @@ class LeaveOneOutBank(ExcludingBank):
         one_limit, window_limit = self.limits
         prior = est.predict(plant, estimate, now.t_start, u, now.dt, UNUSED)
         joint = est.joint(plant, prior, t, u)
+        y = plant.near(y, joint.y)
         usable = np.isfinite(y) & ~exclusion.out
         everything = statistics(joint, y, usable)
         found, isolated, capped = self._eliminate(everything, exclusion.out)

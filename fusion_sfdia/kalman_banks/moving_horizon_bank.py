@@ -69,6 +69,7 @@ class MovingHorizon(LeaveOneOutBank):
         plant, est, t = self.plant, self.estimator, now.t
         prior = est.predict(plant, estimate, now.t_start, u, now.dt, UNUSED)
         joint = est.joint(plant, prior, t, u)
+        y = plant.near(y, joint.y)
         usable = np.isfinite(y) & ~exclusion.out
         found = statistics(joint, y, usable)
         x, p = posterior(joint, found)

@@ -92,6 +92,7 @@ class MultipleModel(BatchDetector):
         plant, est = self.plant, self.estimator
         prior = est.predict(plant, memory.estimate, now.t_start, u, now.dt, UNUSED)
         joint = est.joint(plant, prior, now.t, u)
+        y = plant.near(y, joint.y)
         found = statistics(joint, y, np.isfinite(y))
         mode, gain = self._weigh(self._predicted(memory.log_probability), found)
         mu = np.exp(mode[..., 1:])

@@ -29,7 +29,7 @@ from fusion_sfdia.core.redundancy import most_faults, require_max_faults
 from fusion_sfdia.filters import particle
 from fusion_sfdia.filters.estimators import require_none_considered, step_stream
 from fusion_sfdia.filters.gaussian import add, whiten
-from fusion_sfdia.filters.guarded_steps import guarded_points, readings_of
+from fusion_sfdia.filters.guarded_steps import guarded_points, readings_of_points
 from fusion_sfdia.filters.particle import Particles
 
 Array = NDArray[Any]
@@ -70,10 +70,12 @@ class ParticleFilter(BatchDetector):
 
     def _judge(self, memory: Particles, now: TimeStep, y: Array, u: Array) -> tuple[Particles, Decision]:
         plant = self.plant
-        rng, over = step_stream(now.seed, now.k), np.expand_dims(u, -2)
+        rng = step_stream(now.seed, now.k)
         _, ahead, moved, stuck, lost = guarded_points(plant, now.t_start, memory.members, u, now.dt)
         cloud = particle.predict(Particles(ahead, memory.log_weights), lambda s: s, plant.process_cov_over(now.dt), rng)
-        predicted = readings_of(plant, now.t, cloud.members, over)
+        predicted = readings_of_points(plant, now.t, cloud.members, u)
+        middle, _ = particle.weighted_moments(predicted, cloud.weights)
+        predicted, y = plant.near(predicted, middle[..., None, :]), plant.near(y, middle)
         tested, isolated, capped = self._eliminated(cloud, predicted, y)
         used = np.isfinite(y) & ~(isolated & self.accommodate)
         weighed = particle.weigh(cloud, predicted, np.where(used, y, np.nan), plant.sensor_cov)

@@ -160,6 +160,7 @@ class RobustBank(ExcludingBank):
             room = np.where(unexplained, 0, room)
         prior = self._predict(estimate, standing, now, u)
         joint = est.joint(of.model, prior, now.t, u)
+        y = self.plant.near(y, joint.y)
         usable = np.isfinite(y) & ~exclusion.out
         everything = statistics(joint, y, usable)
         assert prior.tangent is not None and joint.H is not None

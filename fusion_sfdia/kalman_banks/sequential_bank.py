@@ -94,6 +94,7 @@ class SequentialBank(ExcludingBank):
         usable = np.isfinite(y) & ~exclusion.out
         prior = est.predict(plant, estimate, now.t_start, u, now.dt, UNUSED)
         joint = self._joint(now, estimate.x, prior, u, usable)
+        y = plant.near(y, joint.y)
         everything = statistics(joint, y, usable)
         innovations = self._test(joint, everything, y, of_rules)
         found, isolated, capped = self._eliminate(joint, everything, innovations, y, of_rules, exclusion.out)

@@ -25,8 +25,9 @@ def suspected_units(plant: Plant, log: Log) -> list[Finding]:
 
     Of inputs see `suspected_inputs`. The first readings are compared with what the model predicts from x0 under the inputs of
     the log, suspected ones as they should be, see `mix_up`; what explains them has to hold, to half of the prediction and
-    better than the readings as they are, in each of PARTS parts of the log. Sensors that never move are not suspected: they
-    are dead. Nor are those whose prediction is within CLEAR standard deviations of 0, which fit any factor.
+    better than the readings as they are, in each of PARTS parts of the log. Sensors that never move, which are dead, and
+    cyclic ones are not suspected. Nor are those whose prediction is within CLEAR standard deviations of 0,
+    which fit any factor.
     """
     mixed = suspected_inputs(plant, log)
     found = [_of_input(plant.inputs[j], log.u[:, j], best) for j, best in mixed.items()]
@@ -35,11 +36,12 @@ def suspected_units(plant: Plant, log: Log) -> list[Finding]:
     if predicted is None:
         nominal = plant.output(float(log.t[0]), plant.x0, plant.input_at(float(log.t[0])))
         predicted = np.tile(np.asarray(nominal, dtype=float), (max(min(ROWS, log.t.size), PARTS), 1))
+    cyclic = () if plant.cyclic_sensors is None else plant.cyclic_sensors.at
     for i, sensor in enumerate(plant.sensors):
         readings = log.y[:, i]
         with_reading = np.flatnonzero(np.isfinite(readings))
         begin = with_reading[with_reading < len(predicted)]
-        if begin.size < PARTS or np.ptp(readings[with_reading]) == 0:
+        if begin.size < PARTS or np.ptp(readings[with_reading]) == 0 or i in cyclic:
             continue
         e = float(np.median(predicted[begin, i]))
         if not abs(e) > CLEAR * sensor.noise_sigma:

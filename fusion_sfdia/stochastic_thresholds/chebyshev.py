@@ -179,6 +179,7 @@ class Chebyshev(BatchDetector):
         exceeded, exclusion = memory.exceeded, memory.exclusion
         predicted = self.diagnoser.predict(memory.diagnoser, now, u)
         expected, deviation = predicted.expected, predicted.deviation
+        y = self.plant.near(y, expected)
         residual, threshold = y - expected, self.limits * deviation
         exceeded = np.where(np.abs(residual) > threshold, exceeded + 1, 0.0)
         capped = np.zeros(y.shape[:-1], bool)

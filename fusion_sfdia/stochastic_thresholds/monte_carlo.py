@@ -11,7 +11,7 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters import gaussian
 from fusion_sfdia.filters.estimators import Core, GaussianState, Prior, Reading
 from fusion_sfdia.filters.gaussian import Joint
-from fusion_sfdia.filters.guarded_steps import guarded_points, readings_of
+from fusion_sfdia.filters.guarded_steps import guarded_points, readings_of_points
 from fusion_sfdia.filters.sums import symmetric_sum
 
 
@@ -49,7 +49,7 @@ class MonteCarlo:
         x, p = prior.core
         assert prior.propagated is not None
         points = self._points(x, p, prior.propagated)
-        mean, spread = _centred(readings_of(plant, t, points, np.expand_dims(u, -2)))
+        mean, spread = _centred(readings_of_points(plant, t, points, u))
         S = symmetric_sum(np.swapaxes(spread, -1, -2) @ spread, plant.sensor_cov)
         return Joint(x, p, mean, S, np.swapaxes(_centred(points)[1], -1, -2) @ spread)
 

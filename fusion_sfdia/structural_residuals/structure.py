@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from fusion_sfdia.core.detector import MissingPackageError, NotApplicableError
+from fusion_sfdia.core.detector import MissingPackageError, NotApplicableError, require_no_cycles
 from fusion_sfdia.core.equation import argument_names
 from fusion_sfdia.core.modules import Modules
 from fusion_sfdia.core.plant import Plant
@@ -52,6 +52,7 @@ def modules_of(plant: Plant) -> Modules:
             f"plant {plant.name!r} does not state its scalar equations, without which it has no structure to analyse; give "
             "Plant(structure=Structure(modules=Modules(...))) or take another detector"
         )
+    require_no_cycles(plant, "structural residuals")
     measured = [s.measures for s in plant.sensors]
     if unknown := [s.name for s in plant.sensors if s.measures not in plant.structure.modules.equations]:
         raise NotApplicableError(
