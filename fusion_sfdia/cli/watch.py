@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 from contextlib import nullcontext
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
     from fusion_sfdia.live.saving import SavedWatch
     from fusion_sfdia.logs.log_map import LogMap
 
-LONGEST_LINE = 1_000_000  # bytes; more is no row
+LONGEST_LINE = 1_000_000  # bytes; a longer one is refused whole
 
 
 def add_watch(commands: Any) -> None:
@@ -118,11 +117,13 @@ def _watched(chosen: argparse.Namespace) -> int:
 
 
 def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap) -> None:
-    from fusion_sfdia.live.rows import TextRows
+    from fusion_sfdia.live.rows import TextRows, lines
 
     rows = TextRows(saved.watch.detector.plant, log_map, **columns(chosen))
-    for number, line in enumerate(iter(partial(sys.stdin.buffer.readline, LONGEST_LINE), b""), start=1):
+    for number, line in enumerate(lines(sys.stdin.buffer, LONGEST_LINE), start=1):
         try:
+            if line is None:
+                raise ValueError(f"it has more than {LONGEST_LINE} bytes; expected a row")
             row = rows.row(line.decode(log_map.encoding, errors="replace"))
         except ValueError as error:
             if rows.reader is None:

@@ -42,7 +42,8 @@ def load_nodes(path: str | Path, plant: Plant) -> Nodes:
 
     ValueError for anything else, for unknown names, for an input without a node, and where no sensor has one.
     """
-    found = load_tables(path, plant, [f.name for f in fields(Nodes)], ("stale", "period", "retry", "timeout"), _require_node)
+    known, seconds = [f.name for f in fields(Nodes)], ("stale", "period", "retry", "timeout")
+    found = load_tables(path, plant, known, seconds, _require_node, _require_node, _address)
     require_texts(path, found, ("uncertain", "user", "password", "security"))
     if (given := found.get("uncertain", "use")) not in UNCERTAIN:
         raise ValueError(f"{path}: uncertain is {given!r}; expected {' or '.join(map(repr, UNCERTAIN))}")
@@ -52,3 +53,9 @@ def load_nodes(path: str | Path, plant: Plant) -> Nodes:
 def _require_node(where: str, value: Any) -> None:
     if not isinstance(value, str) or "=" not in value:
         raise ValueError(f"{where} is {shown(value)}; expected the id of a node, such as 'ns=2;s=TT-101.PV'")
+
+
+def _address(value: str) -> tuple[str]:
+    """The id of a node in one form, "ns=0;i=85" for "i=85"."""
+    parts = sorted(part.strip() for part in value.split(";"))
+    return (";".join(parts if any(part.startswith("ns") for part in parts) else ["ns=0", *parts]),)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from datetime import datetime
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,17 @@ from fusion_sfdia.logs.problems import Problems
 from fusion_sfdia.logs.rows import RowReader
 
 Array = NDArray[Any]
+
+
+def lines(stream: BinaryIO, longest: int) -> Iterator[bytes | None]:
+    """Each line of a stream; None in the place of one of more than `longest` bytes, of which nothing is kept."""
+    while line := stream.readline(longest + 1):
+        if len(line) <= longest or line.endswith(b"\n"):
+            yield line
+            continue
+        while line and not line.endswith(b"\n"):
+            line = stream.readline(longest)
+        yield None
 
 
 class TextRows:
@@ -120,9 +131,18 @@ class TextRows:
 
 def _object(line: str) -> dict[str, Any]:
     try:
-        found = json.loads(line)
+        found = json.loads(line, object_pairs_hook=_of_single_keys)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"not JSON ({str(error)[:80]}): {shown(line.strip())}") from error
     if not isinstance(found, dict):
         raise ValueError(f"{shown(found)} is no JSON object; expected names and values")
+    return found
+
+
+def _of_single_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of JSON; ValueError where a key occurs twice, since only one of the values would count."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        keys = [key for key, _ in pairs]
+        raise ValueError(f"the key {shown(next(k for k in keys if keys.count(k) > 1))} occurs twice")
     return found

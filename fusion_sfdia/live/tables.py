@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 from pathlib import Path
 from typing import Any
 
-from fusion_sfdia.core.arguments import number, shown
+from fusion_sfdia.core.arguments import number, require_unique, shown
 from fusion_sfdia.core.plant import Plant
 
 OF_SENSOR = ("value", "sigma", "verdict")
@@ -15,13 +15,20 @@ OF_ALL = ("verdict", "alarm")
 
 
 def load_tables(
-    path: str | Path, plant: Plant, known: Iterable[str], seconds: Iterable[str], require: Callable[[str, Any], None]
+    path: str | Path,
+    plant: Plant,
+    known: Iterable[str],
+    seconds: Iterable[str],
+    require_source: Callable[[str, Any], None],
+    require: Callable[[str, Any], None],
+    address: Callable[[Any], tuple[Hashable, ...]],
 ) -> dict[str, Any]:
     """Read a TOML file with the names `known`, those in `seconds` positive numbers, and the tables read and write.
 
     read: an address of each input, and of some sensors. write: of some sensors {"value", "sigma", "verdict": address}, and
-    the addresses "verdict" and "alarm" of the whole. require: raises ValueError, beginning with its first argument, unless the
-    second is an address. ValueError for anything else.
+    the addresses "verdict" and "alarm" of the whole. require_source, require: raise ValueError, beginning with their first
+    argument, unless the second states where to read, or is an address. address: of either, equal for equal ones: where it is,
+    and what is read there. ValueError for anything else, and where two of these names, or one of them and status, have one.
     """
     with Path(path).open("rb") as file:
         try:
@@ -36,24 +43,57 @@ def load_tables(
         if name in found and not 0 < number(f"{path}: {name}", found[name]) < float("inf"):
             raise ValueError(f"{path}: {name} is {found[name]}; expected a positive number of seconds")
     sensors, inputs, read = plant.sensor_names, tuple(s.name for s in plant.inputs), found["read"]
+    require_unique(f"{path}: sensors and inputs of plant {plant.name!r}", [*sensors, *inputs])
     require_known(f"{path}, [read]:", read, [*sensors, *inputs])
     for name, value in read.items():
-        require(f"{path}, [read]: {name}", value)
+        require_source(f"{path}, [read]: {name}", value)
     if lacking := [name for name in inputs if name not in read]:
         raise ValueError(f"{path}, [read]: nothing for the inputs {', '.join(lacking)}; the model needs them")
     if not any(name in read for name in sensors):
         raise ValueError(f"{path}, [read]: nothing for a sensor; sensors: {', '.join(sensors)}")
+    if given := [name for name in inputs if name in found["write"] and name not in OF_ALL]:
+        raise ValueError(f"{path}, [write]: {given[0]} is an input; expected sensors, {', '.join(OF_ALL)}: remove it")
     require_known(f"{path}, [write]:", found["write"], [*sensors, *OF_ALL])
     for name, value in found["write"].items():
         if isinstance(value, dict):
             require_known(f"{path}, [write.{name}]:", value, OF_SENSOR)
-            for what, address in value.items():
-                require(f"{path}, [write.{name}]: {what}", address)
+            for what, given_address in value.items():
+                require(f"{path}, [write.{name}]: {what}", given_address)
         elif name not in OF_ALL:
             raise ValueError(f"{path}, [write]: {name} is {shown(value)}; expected a table of {', '.join(OF_SENSOR)}")
         else:
             require(f"{path}, [write]: {name}", value)
+    if "status" in found:
+        require(f"{path}: status", found["status"])
+    _require_own_addresses(path, plant, found, address)
     return found
+
+
+def _require_own_addresses(
+    path: str | Path, plant: Plant, found: dict[str, Any], address: Callable[[Any], tuple[Hashable, ...]]
+) -> None:
+    """Raise ValueError where two names have one address: what is written would be read again, or two values be one."""
+    known: dict[Hashable, str] = {}
+    for name, value in found["read"].items():
+        what = f"{'sensor' if name in plant.sensor_names else 'input'} {name}"
+        if (other := known.setdefault(at := address(value), what)) != what:
+            raise ValueError(
+                f"{path}, [read]: {other} and {what} are both read from {_in_words(at)}; give each its own address, or leave "
+                "out the sensor that has none"
+            )
+    read = {at[0]: what for at, what in ((address(value), f"[read] {name}") for name, value in found["read"].items())}
+    written = [(f"[write] {name}", value) for name, value in found["write"].items() if not isinstance(value, dict)]
+    for name, value in found["write"].items():
+        written += [(f"[write.{name}] {what}", at) for what, at in value.items()] if isinstance(value, dict) else []
+    for what, value in [*written, *([("status", found["status"])] if "status" in found else [])]:
+        where = address(value)[0]
+        if (other := read.get(where) or known.setdefault(("written", where), what)) != what:
+            raise ValueError(f"{path}: {other} and {what} both have the address {shown(value)}; give each its own")
+
+
+def _in_words(address: tuple[Hashable, ...]) -> str:
+    where, *what = map(str, address)
+    return f"{where!r}" + "".join(f", key {key!r}" for key in what)
 
 
 def require_known(where: str, found: Iterable[str], known: Iterable[str]) -> None:

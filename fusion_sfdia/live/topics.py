@@ -103,7 +103,7 @@ class Topics:
 def load_topics(path: str | Path, plant: Plant) -> Topics:
     """Read topics.toml: the fields of `Topics`, read and write as tables; ValueError for anything else, see `load_tables`."""
     known = [f.name for f in fields(Topics)]
-    found = load_tables(path, plant, known, ("together", "stale", "retry"), _require_source)
+    found = load_tables(path, plant, known, ("together", "stale", "retry"), _require_source, _require_topic, _address)
     require_texts(path, found, ("user", "password_file", "password_variable", "ca", "certificate", "key"))
     for name, value, expected in (
         ("epoch", found.get("epoch", "s"), tuple(SECONDS)),
@@ -117,11 +117,6 @@ def load_topics(path: str | Path, plant: Plant) -> Topics:
         found["good"] = tuple(found["good"])
     if "password_file" in found and "password_variable" in found:
         raise ValueError(f"{path}: password_file and password_variable both state the password; give one")
-    for name, value in found["write"].items():
-        for topic in value.values() if isinstance(value, dict) else (value,):
-            _require_topic(f"{path}, [write]: {name}", topic)
-    if "status" in found:
-        _require_topic(f"{path}: status", found["status"])
     return Topics(**found)
 
 
@@ -133,6 +128,12 @@ def _require_source(where: str, value: Any) -> None:
         if what != "topic" and not isinstance(value.get(what, ""), str):
             raise ValueError(f"{where}: {what} is {shown(value[what])}; expected a key, such as 'pv.value'")
     _require_topic(f"{where}: topic", value.get("topic"))
+
+
+def _address(value: Any) -> tuple[str, str]:
+    """The topic, and the key of the value on it."""
+    source = Source(value) if isinstance(value, str) else Source(**value)
+    return source.topic, source.value
 
 
 def _require_topic(where: str, value: Any) -> None:

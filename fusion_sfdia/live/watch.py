@@ -61,9 +61,10 @@ class Watch:
       keep_last. One line for the number of a run of them.
     - A row earlier than the last one diagnosed, late, out of order or after a clock was set back, is not taken, one line for
       the first and one for the number of them. Directly after `load` such rows are in the state already: no line.
-    - The first row, and one later by more than longest_gap, wait for the next row. If that is later still, the time is right:
-      after such a gap the detector starts anew, a "reset", and what stood is closed. If it is earlier by more than `reorder`,
-      the waiting row is not taken: its clock was wrong.
+    - The first row waits for the next one. A row that is ahead of the others by more than five times their usual distance, at
+      least dt, waits until three rows, itself among them, have times from its own on; rows that go on as before are diagnosed
+      meanwhile, and show that its clock was wrong: it is not taken. After a pause of more than longest_gap the detector starts
+      anew, a "reset", and what stood is closed.
     - Where the estimate diverges, the detector starts anew with the next row, a "reset".
     """
 
@@ -99,7 +100,7 @@ class Watch:
         self.limits = tuple(np.array([getattr(s, which) for s in detector.plant.inputs]) for which in ("low", "high"))
         self.known_at = np.full(len(detector.plant.inputs), -np.inf)  # time of the last value of each input
         self.lost = False  # whether the estimate of the last row had diverged
-        self.order = InOrder(number("reorder", reorder), self.longest_gap, refused, keep_last)
+        self.order = InOrder(number("reorder", reorder), self.longest_gap, refused, keep_last, detector.plant.dt)
 
     def events(self, rows: Iterable[tuple[float | datetime, Any, Any]]) -> Iterator[Change]:
         """What rows (t, y, u), see `take`, decide, each as soon as its row is taken."""
@@ -122,7 +123,7 @@ class Watch:
 
     def rest(self) -> tuple[Sample, ...]:
         """Diagnose the rows that are held for their order, at the end of the input; what comes later is late."""
-        return self._in_turn(self.order.rest())
+        return self._in_turn(self.order.rest(self.t, self.clock))
 
     def last(self) -> list[Change]:
         """What the second look would report if no row came any more; the watch stays as it is."""
@@ -138,7 +139,7 @@ class Watch:
         for what, values, count in (("readings", y, len(plant.sensors)), ("inputs", u, len(plant.inputs))):
             if values.shape != (count,):
                 raise ValueError(f"{what} of shape {values.shape}; expected ({count},), NaN where missing")
-        begun = self.t is not None or self.order.waiting is not None or bool(self.order.held)
+        begun = self.t is not None or bool(self.order.waiting or self.order.held)
         if begun and isinstance(t, datetime) != (start is not None):
             raise ValueError("give the time as in the rows before, in seconds or as a time stamp")
         if isinstance(t, datetime):

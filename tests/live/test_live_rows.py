@@ -1,5 +1,6 @@
 """Lines of text as rows, and what is said of lines that are none."""
 
+import io
 from datetime import UTC, datetime
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from toy_plants import tanks
 
 from fusion_sfdia.live.remarks import Remarks
-from fusion_sfdia.live.rows import TextRows
+from fusion_sfdia.live.rows import TextRows, lines
 from fusion_sfdia.logs.log_map import Column, LogMap
 
 HEADER = "inflow,time [s],q2,q12,l2,l1\n"
@@ -83,6 +84,7 @@ def test_json_by_its_keys() -> None:
         ('{"time": 5, "l1": ' + "9" * 400 + "}", "column l1: 999"),
         ('{"time": [1]}', r"time: \[1\]; expected"),
         ('{"l1": 1}', "no 'time' among"),
+        ('{"time": 5, "l1": 1, "l1": 2}', "the key 'l1' occurs twice"),
         ("[" * 100_000, "not JSON"),
     ):
         with pytest.raises(ValueError, match=message):
@@ -104,3 +106,18 @@ def test_remarks_stay_few_however_many_there_are() -> None:
     for k in range(1, 5001):
         remarks(f"{k}")
     assert said == [*map(str, range(1, 11)), *(f"{n} (the {n}th such line; others are not shown)" for n in (100, 1000))]
+
+
+@pytest.mark.parametrize("longest", [6, 10, 1000])
+def test_of_a_line_that_is_too_long_nothing_is_taken_as_a_row(longest: int) -> None:
+    given = [
+        b"1,2,3\n",
+        b"9" * (3 * longest) + b",5,6\n",
+        b"7,8,9\n",
+        b"x" * longest + b"\n",
+        b"y" * (longest + 1) + b"\n",
+        b"0",
+    ]
+    found = list(lines(io.BytesIO(b"".join(given)), longest))
+    assert found == [given[0], None, given[2], given[3], None, given[5]]
+    assert list(lines(io.BytesIO(b"1\n" + b"2" * 5000), longest)) == [b"1\n", None if longest < 5000 else b"2" * 5000]

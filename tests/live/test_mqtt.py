@@ -338,6 +338,15 @@ def test_a_file_of_topics_or_an_address_that_does_not_fit_is_refused(tmp_path: P
         (("retry = 0.05", 'password_file = "a"\npassword_variable = "B"'), "both state the password"),
         (("inflow =", "#"), "nothing for the inputs inflow"),
         (('"tanks/alarm"', "3"), "alarm is 3; expected a topic"),
+        (('"tanks/alarm"', '"tanks/q2"'), r"\[read\] q2 and \[write\] alarm both have the address 'tanks/q2'"),
+        (('"tanks/l1/sigma"', '"tanks/levels"'), r"\[read\] l2 and \[write.l1\] sigma both have the address"),
+        (('"tanks/l1/sigma"', '"tanks/alarm"'), r"\[write\] alarm and \[write.l1\] sigma both have the address"),
+        (('"tanks/l1/sigma"', '{ topic = "a" }'), r"\[write.l1\]: sigma is {'topic': 'a'}; expected a topic"),
+        (('"tanks/watch"', '"tanks/levels"'), r"\[read\] l2 and status both have the address 'tanks/levels'"),
+        (('"tanks/watch"', '"tanks/verdict"'), r"\[write\] verdict and status both have the address"),
+        (('"tanks/inflow"', '"tanks/q2"'), "sensor q2 and input inflow are both read from 'tanks/q2', key 'value'"),
+        (('"l2.pv"', '"l1.pv"'), "sensor l1 and sensor l2 are both read from 'tanks/levels', key 'l1.pv'"),
+        (("[write]", '[write]\ninflow = { value = "a" }'), r"\[write\]: inflow is an input; expected sensors"),
     ):
         path.write_text(TOPICS.replace(*change, 1))
         with pytest.raises(ValueError, match=message):

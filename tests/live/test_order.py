@@ -129,3 +129,37 @@ def test_of_rows_that_are_held_the_last_of_a_time_counts_where_that_is_asked_for
     kept = "last" if keep_last else "first"
     assert set(said) == {f"1 duplicate dropped, the {kept} row of each time kept"} and len(said) == 20
     assert not watch.take(*rows_of(20)[-1]) and watch.order.again["first"] == 1  # it is diagnosed
+
+
+@pytest.mark.parametrize("steps", [6, 40, 9_000, 10**7])
+@pytest.mark.parametrize("at", [1, 15, 40])
+def test_a_row_far_ahead_costs_itself_alone(steps: int, at: int) -> None:
+    rows, remarks = rows_of(), []
+    expected = lines_of(Watch(bank()), rows[:at] + rows[at + 1 :])
+    ahead = [*rows[:at], (rows[at][0] + 5.0 * steps, *rows[at][1:]), *rows[at + 1 :]]
+    assert lines_of(Watch(bank(), refused=remarks.append), ahead) == expected
+    assert len(remarks) == 1 and "it is later than the row after it" in remarks[0]
+
+
+def test_rows_with_two_clocks_in_turn_are_those_of_the_one_that_goes_on() -> None:
+    rows, remarks = rows_of(), []
+    mixed = [row for k, r in enumerate(rows) for row in ([r] if k % 3 else [r, (r[0] + 7200.0, r[1] + 1.0, r[2])])]
+    assert lines_of(Watch(bank(), refused=remarks.append), mixed) == lines_of(Watch(bank()), rows)
+    assert len(remarks) == 27
+
+
+def test_a_jump_counts_with_the_third_row_and_at_the_end_of_the_input_with_the_second() -> None:
+    remarks: list[str] = []
+    one = InOrder(0.0, 1e5, remarks.append, step=5.0)
+    in_order, found = pushed(one, [0.0, 5.0, 500.0, 505.0, 510.0, 515.0, 9e3])
+    assert found == [[], [0.0, 5.0], [], [], [500.0, 505.0, 510.0], [515.0], []] and in_order[-1] == 515.0
+    assert one.rest(515.0, Clock()) == [] and "no row after it confirms its time" in remarks[0]
+    two = InOrder(0.0, 1e5, remarks.append, step=5.0)
+    pushed(two, [0.0, 5.0, 500.0, 505.0])
+    assert [row.t for row, _ in two.rest(5.0, Clock())] == [500.0, 505.0] and len(remarks) == 1
+
+
+def test_rows_that_are_usually_far_apart_do_not_wait() -> None:
+    one = InOrder(0.0, 1e5, print, step=1.0)
+    _, found = pushed(one, [60.0 * k for k in range(10)])
+    assert list(map(len, found)) == [0, 1, 0, 3, 1, 1, 1, 1, 1, 1]  # from the third on they are known to be

@@ -121,7 +121,7 @@ def test_verdicts_on_the_process_are_those_of_a_diagnosis() -> None:
     assert len(standing) == sum(e.open for e in events)
 
 
-@pytest.mark.parametrize(("cut", "again"), [(3, "all"), (22, "after"), (79, "after"), (81, "all")])
+@pytest.mark.parametrize(("cut", "again"), [(3, "all"), (22, "after"), (79, "after"), (83, "all")])
 def test_a_watch_taken_up_again_gives_the_same_changes_and_bits(cut: int, again: str, tmp_path: Path) -> None:
     rows, detector, path = faulty(), bank(), tmp_path / "new" / "watch.state"
     whole = Watch(detector)
