@@ -115,6 +115,12 @@ def find_sources(
             problems.add("quality", f"no column {shown(quality)} with the quality of {shown(title)}; correct the map")
             quality = ""
         found[target] = Source(title, target, position, is_input, unit, converted, quality)
+    if not times and not long:
+        problems.add("time", _of_times(header, log_map))
+        if not (found or named):
+            there = f"no column is a sensor or an input of plant {plant.name!r}, either"
+            problems.add("columns", f"{there}; state in a map which is which: `fusion-sfdia init` drafts one")
+            return Sources((), "", (), tuple(unknown))
     for why, names in wrong.items():
         problems.add("unit", _of_wrong_unit(plant, *why, names), count=len(names))
     _add_missing(problems, plant, {*found, *named}, absent, nominal)
@@ -188,18 +194,21 @@ def _times(problems: Problems, header: Sequence[str], log_map: LogMap) -> tuple[
     """The titles of the columns of times, none where one is lacking, and the unit that the title of a single one states."""
     by_name = {split_title(title)[0]: title for title in reversed(header)}
     titles = [name if name in header else by_name.get(name, "") for name in log_map.time]
-    if lacking := [name for name, title in zip(log_map.time, titles, strict=True) if not title]:
-        problems.add(
-            "time",
-            f"no column {some(lacking)} among {some(header)}; give the column of the times (s) that name, or state `time` in "
-            "a map",
-        )
+    if not all(titles):
         return (), ""
     unit = split_title(titles[0])[1] if len(titles) == 1 else ""
     if unit and unit not in SECONDS and not log_map.format:
         problems.add("time", f"column {log_map.time[0]!r} is in {shown(unit)}; expected one of {', '.join(SECONDS)}")
         unit = ""
     return tuple(titles), "" if log_map.format else unit
+
+
+def _of_times(header: Sequence[str], log_map: LogMap) -> str:
+    """The problem of columns of times that the header lacks."""
+    lacking = [name for name in log_map.time if name not in {*header, *(split_title(title)[0] for title in header)}]
+    return (
+        f"no column {some(lacking)} among {some(header)}; give the column of the times (s) that name, or state `time` in a map"
+    )
 
 
 def _quality(log_map: LogMap, title: str, column: Column | None) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.logs.columns import Source
+from fusion_sfdia.logs.columns import Source, split_title
 from fusion_sfdia.logs.findings import Finding, counted
 from fusion_sfdia.logs.log_map import AT_THE_SAMPLE, LogMap
 from fusion_sfdia.logs.mix_ups import input_mix_up
@@ -63,7 +63,7 @@ def require_known(problems: Problems, rows: Rows, c: Source, u: Array, plant: Pl
         k, count = int(np.argmax(beyond)), int(beyond.sum())
         limits = f"plant {plant.name!r} holds from {signal.low:g} to {signal.high:g} {signal.unit}"
         text = f"{values[k]:g} {signal.unit}{others(count)}; {limits}; correct the input or convert its unit{hint}"
-        problems.add("inputs", text, row=int(own[k]), column=c.title, count=count)
+        problems.add("inputs", text, row=int(own[k]), column=split_title(c.title)[0], count=count)
 
 
 def others(count: int) -> str:

@@ -27,9 +27,10 @@ Laid = tuple[Sources, Rows, Times, list[Finding]]
 def wide_rows(table: Table, plant: Plant, log_map: LogMap, allowed: dict[str, bool], problems: Problems) -> Laid:
     """A table with a column for each sensor and input; columns that cannot be read are added to problems, and left out."""
     sources = find_sources(problems, table.titles, table.units, plant, log_map, **allowed)
-    with problems.collecting("rows"):
-        table.require_rows()
-    if not len(table.rows):
+    if sources.columns or sources.refused:
+        with problems.collecting("rows"):
+            table.require_rows()
+    if not len(table.rows) or not (sources.columns or sources.refused):
         problems.require_none()
     times = unknown_times(len(table.rows))
     if sources.times:
