@@ -19,6 +19,12 @@ def shown(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
+def some(names: Sequence[str]) -> str:
+    """The first names, each cut to a length that a line can hold."""
+    first = ", ".join(repr(n if len(n) <= 20 else f"{n[:20]}...") for n in names[:8])
+    return f"{first} and {len(names) - 8} more" if len(names) > 8 else first
+
+
 def number(what: str, value: object) -> float:
     """Return a real number as a float, NaN and infinities too; ValueError for text, None, truth values and arrays."""
     if isinstance(value, np.ndarray) and value.ndim == 0:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import floats, shown
+from fusion_sfdia.core.arguments import floats, shown, some
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Signal
 
@@ -56,7 +56,7 @@ def as_log(
             came = shown(given[0]) if len(given) == 1 else f"{len(given)} arguments"
             raise ValueError(
                 f"the readings are {came}; expected t, y and u, a Log, a Recording as simulate returns it, or a frame with "
-                f"the columns time, {_some([*plant.sensor_names, *(s.name for s in plant.inputs)])}"
+                f"the columns time, {some([*plant.sensor_names, *(s.name for s in plant.inputs)])}"
             )
         t, y, u = given
         y, u = _by_name("y", y, plant.sensor_names), _by_name("u", u, [s.name for s in plant.inputs])
@@ -92,7 +92,7 @@ def require_same_names(plant: Plant, data: Any) -> None:
     for what, own in (("sensors", plant.sensor_names), ("inputs", tuple(s.name for s in plant.inputs))):
         if (given := getattr(data, what, own)) != own:
             raise ValueError(
-                f"the readings are of the {what} {_some(given)}; expected those of plant {plant.name!r}, {_some(own)}"
+                f"the readings are of the {what} {some(given)}; expected those of plant {plant.name!r}, {some(own)}"
             )
 
 
@@ -123,7 +123,7 @@ def _by_name(what: str, given: Any, names: Sequence[str]) -> Any:
         return given
     titles = [re.sub(r"\s*\[[^\[\]]*\]\s*$", "", str(title)).strip() for title in columns]
     if sorted(titles) != sorted(names):
-        raise ValueError(f"{what} is a frame with the columns {_some(titles)}; expected {_some(names)}, in any order")
+        raise ValueError(f"{what} is a frame with the columns {some(titles)}; expected {some(names)}, in any order")
     return given.iloc[:, [titles.index(name) for name in names]]
 
 
@@ -135,9 +135,3 @@ def _require_known(plant: Plant, u: Array) -> None:
             f"u has {u[tuple(at)]} in row {at[0]} (the first is 0), input {plant.inputs[at[-1]].name!r}; an input must be "
             "known: give its value, hold the one before, or leave the row out"
         )
-
-
-def _some(names: Sequence[str]) -> str:
-    """The first names, each cut to a length that a line can hold."""
-    shown = ", ".join(repr(n if len(n) <= 20 else f"{n[:20]}...") for n in names[:8])
-    return f"{shown} and {len(names) - 8} more" if len(names) > 8 else shown

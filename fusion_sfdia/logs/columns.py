@@ -7,13 +7,12 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from typing import NamedTuple
 
-from fusion_sfdia.core.arguments import require_unique, shown
+from fusion_sfdia.core.arguments import require_unique, shown, some
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.logs.conversion import Conversion, conversion
 from fusion_sfdia.logs.log_map import SECONDS, Column, LogMap
 from fusion_sfdia.logs.problems import Problems
-from fusion_sfdia.logs.tables import some
 
 
 class Source(NamedTuple):

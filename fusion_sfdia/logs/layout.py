@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import shown
+from fusion_sfdia.core.arguments import shown, some
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.logs.columns import Sources, find_sources
 from fusion_sfdia.logs.findings import Finding, counted
@@ -17,7 +17,7 @@ from fusion_sfdia.logs.mask import mask_titles
 from fusion_sfdia.logs.numbers import NotANumberError, Numbers, good_codes
 from fusion_sfdia.logs.order import Rows, dropped, twice
 from fusion_sfdia.logs.problems import Problems
-from fusion_sfdia.logs.tables import Table, some
+from fusion_sfdia.logs.tables import Table
 from fusion_sfdia.logs.times import UNKNOWN, Times, times_of, unknown_times
 
 Array = NDArray[Any]
@@ -36,7 +36,7 @@ def wide_rows(table: Table, plant: Plant, log_map: LogMap, allowed: dict[str, bo
     if sources.times:
         with problems.collecting("time"):
             times = times_of(table, sources.times, sources.time_unit, log_map)
-    findings: list[Finding] = []
+    findings = [*table.findings]
     values = {}
     also: list[str] = []
     with problems.collecting("mask"):
@@ -73,19 +73,16 @@ def long_rows(table: Table, plant: Plant, log_map: LogMap, allowed: dict[str, bo
     if not used:
         problems.require_none()
     chosen = np.flatnonzero([tag in used for tag in tags])
-    table = Table(
-        table.where,
-        table.titles,
-        [[column[k] for k in chosen] for column in (list(c) for c in table.columns)],
-        [table.rows[int(k)] for k in chosen],
-        table.units,
+    table = table._replace(
+        columns=[[column[k] for k in chosen] for column in (list(c) for c in table.columns)],
+        rows=[table.rows[int(k)] for k in chosen],
     )
     tags = [tags[k] for k in chosen]
     times = unknown_times(len(tags))
     if {*log_map.time} <= {*table.titles}:
         with problems.collecting("time"):
             times = times_of(table, log_map.time, "", log_map, tags)
-    findings: list[Finding] = []
+    findings = [*table.findings]
     values: Array | None = None
     with problems.collecting("cells", log_map.value):
         values = _numbers(table, log_map.value, log_map, findings)

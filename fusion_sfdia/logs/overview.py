@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.arguments import some
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.logs.findings import Finding, counted
-from fusion_sfdia.logs.tables import some
 from fusion_sfdia.logs.times import Times
 
 Array = NDArray[Any]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.arguments import some
 from fusion_sfdia.core.log import Log, usual_inputs
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.logs.columns import Sources, require_columns_of
@@ -21,7 +22,7 @@ from fusion_sfdia.logs.mask import masked_rows
 from fusion_sfdia.logs.order import Rows, in_order
 from fusion_sfdia.logs.overview import overview
 from fusion_sfdia.logs.problems import Problems
-from fusion_sfdia.logs.tables import read_table, some
+from fusion_sfdia.logs.tables import read_table
 from fusion_sfdia.logs.times import UNKNOWN, Times
 
 Array = NDArray[Any]

@@ -9,8 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fusion_sfdia.core.arguments import shown
+from fusion_sfdia.core.arguments import shown, some
 from fusion_sfdia.core.detector import MissingPackageError
+from fusion_sfdia.logs.findings import Finding
 from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap
 from fusion_sfdia.logs.plain import plain_table
 
@@ -20,7 +21,7 @@ PARQUET = (".parquet", ".pq")
 class Table(NamedTuple):
     """Cells of a log, before they are numbers: where they are from, titles, columns by position, and the number of each row.
 
-    units: of the columns, from a row below the header, or "".
+    units: of the columns, from a row below the header, or "". findings: on how the file was read, and what was left out.
     """
 
     where: str
@@ -28,6 +29,7 @@ class Table(NamedTuple):
     columns: list[Any]
     rows: Sequence[int]
     units: list[str]
+    findings: tuple[Finding, ...] = ()
 
     def column(self, title: str) -> Any:
         return self.columns[self.titles.index(title)]
@@ -163,9 +165,3 @@ def _titles(where: str, titles: list[str]) -> list[str]:
         if title and title in titles[:i]:
             raise ValueError(f"{where}: the column {shown(title)} occurs twice; keep one")
     return titles
-
-
-def some(names: Sequence[str]) -> str:
-    """The first names, each cut to a length that a line can hold."""
-    first = ", ".join(repr(n if len(n) <= 20 else f"{n[:20]}...") for n in names[:8])
-    return f"{first} and {len(names) - 8} more" if len(names) > 8 else first
