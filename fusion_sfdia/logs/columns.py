@@ -11,7 +11,8 @@ from fusion_sfdia.core.arguments import require_unique, shown, some
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.logs.conversion import Conversion, conversion
-from fusion_sfdia.logs.log_map import SECONDS, Column, LogMap
+from fusion_sfdia.logs.epochs import SECONDS, count_of
+from fusion_sfdia.logs.log_map import Column, LogMap
 from fusion_sfdia.logs.problems import Problems
 
 
@@ -196,7 +197,7 @@ def _times(problems: Problems, header: Sequence[str], log_map: LogMap) -> tuple[
     if not all(titles):
         return (), ""
     unit = split_title(titles[0])[1] if len(titles) == 1 else ""
-    if unit and unit not in SECONDS and not log_map.format:
+    if unit and count_of(unit) is None and not log_map.format:
         problems.add("time", f"column {log_map.time[0]!r} is in {shown(unit)}; expected one of {', '.join(SECONDS)}")
         unit = ""
     return tuple(titles), "" if log_map.format else unit

@@ -11,8 +11,8 @@ from fusion_sfdia.logs.columns import Source
 
 # what changes or questions the readings; the other kinds describe the log
 REMARKABLE = (
-    "bad", "duplicates", "held", "input unit suspected", "inputs shifted", "left out", "masked", "nominal inputs", "order",
-    "quality", "unit suspected", "zone",
+    "bad", "duplicates", "held", "input unit suspected", "inputs shifted", "left out", "masked", "no date", "nominal inputs",
+    "order", "quality", "unit suspected", "zone",
 )  # fmt: skip
 MOST_OF_A_KIND = 2
 

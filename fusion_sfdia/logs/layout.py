@@ -18,13 +18,15 @@ from fusion_sfdia.logs.numbers import NotANumberError, Numbers, good_codes
 from fusion_sfdia.logs.order import Rows, dropped, twice
 from fusion_sfdia.logs.problems import Problems
 from fusion_sfdia.logs.tables import Table
-from fusion_sfdia.logs.times import UNKNOWN, Times, times_of, unknown_times
+from fusion_sfdia.logs.times import UNKNOWN, Expected, Times, times_of, unknown_times
 
 Array = NDArray[Any]
 Laid = tuple[Sources, Rows, Times, list[Finding]]
 
 
-def wide_rows(table: Table, plant: Plant, log_map: LogMap, allowed: dict[str, bool], problems: Problems) -> Laid:
+def wide_rows(
+    table: Table, plant: Plant, log_map: LogMap, allowed: dict[str, bool], problems: Problems, expected: Expected
+) -> Laid:
     """A table with a column for each sensor and input; columns that cannot be read are added to problems, and left out."""
     sources = find_sources(problems, table.titles, table.units, plant, log_map, **allowed)
     if sources.columns or sources.refused:
@@ -35,7 +37,7 @@ def wide_rows(table: Table, plant: Plant, log_map: LogMap, allowed: dict[str, bo
     times = unknown_times(len(table.rows))
     if sources.times:
         with problems.collecting("time"):
-            times = times_of(table, sources.times, sources.time_unit, log_map)
+            times = times_of(table, sources.times, sources.time_unit, log_map, expected=expected)
     findings = [*table.findings]
     values = {}
     also: list[str] = []
@@ -52,7 +54,9 @@ def wide_rows(table: Table, plant: Plant, log_map: LogMap, allowed: dict[str, bo
     return sources, Rows(times.t, np.asarray(table.rows), values), times, findings
 
 
-def long_rows(table: Table, plant: Plant, log_map: LogMap, allowed: dict[str, bool], problems: Problems) -> Laid:
+def long_rows(
+    table: Table, plant: Plant, log_map: LogMap, allowed: dict[str, bool], problems: Problems, expected: Expected
+) -> Laid:
     """A table with a value a row, whose tag states of what; what cannot be read is added to problems, and left out."""
     import pandas
 
@@ -81,7 +85,7 @@ def long_rows(table: Table, plant: Plant, log_map: LogMap, allowed: dict[str, bo
     times = unknown_times(len(tags))
     if {*log_map.time} <= {*table.titles}:
         with problems.collecting("time"):
-            times = times_of(table, log_map.time, "", log_map, tags)
+            times = times_of(table, log_map.time, "", log_map, tags, expected)
     findings = [*table.findings]
     values: Array | None = None
     with problems.collecting("cells", log_map.value):

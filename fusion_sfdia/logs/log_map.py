@@ -8,17 +8,17 @@ import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from datetime import timedelta, timezone, tzinfo
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
 
 from fusion_sfdia.core.arguments import number, shown, whole
+from fusion_sfdia.logs.epochs import NAMES, SECONDS, count_of
 
 AT_THE_SAMPLE, UNTIL_THE_SAMPLE = "at the sample", "until the sample"
 OPC_DA, OPC_UA = "opc-da", "opc-ua"
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
-EXCEL = "excel"
 MASK = re.compile(r"(.+?)\s*(<=|>=|==|!=|<|>)\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)", re.ASCII)
 CHOICES = {
     "duplicates": ("refuse", "first", "last", "mean"),
@@ -63,10 +63,12 @@ class LogMap:
     """How a log is written, and which column holds which sensor or input.
 
     time: title of the column of times, or of two that are joined, date and time. format: as strptime takes it; or the unit
-    of numbers ("s", "ms", "us", "ns", "min", "h", "d"), or "excel" for days since 1900; "" recognises ISO 8601, seconds, and
-    numbers that are seconds, milli-, micro- or nanoseconds since 1970. tz: time zone of stamps that state none, and in which
-    results are shown. separator, decimal, thousands, encoding, preamble (lines before the header), unit_row (whether the
-    row below the header holds units), footer (rows at the end that are no readings): of a text file.
+    of numbers ("s", "ms", "us", "ns", "min", "h", "d"), with a date where they count from one ("s since 1904-01-01"), or
+    "excel", "labview", "matlab", "julian", "filetime", "ticks"; "" recognises ISO 8601, seconds, and numbers that are seconds,
+    milli-, micro- or nanoseconds since 1970, days, or digits of the calendar. tz: time zone of stamps that state none, and in
+    which results are shown: a name, or an offset from UTC such as "+01:00" of a logger without summer time. separator, decimal,
+    thousands, encoding, preamble (lines before the header), unit_row (whether the row below the header holds units), footer
+    (rows at the end that are no readings): of a text file.
 
     bad: texts or numbers that stand for a missing reading. quality: pattern of the titles of quality columns, as in
     "{column}.Q"; of a long format the title of its one. good: the codes that make a value count, "opc-da" or "opc-ua" for
@@ -117,10 +119,11 @@ class LogMap:
                 raise ValueError(f"{what} is {given!r}; expected {_or(known)}")
         if isinstance(self.good, str) and self.good not in (OPC_DA, OPC_UA):
             raise ValueError(f'good is {self.good!r}; expected "opc-da", "opc-ua", or a list of the codes of good values')
-        if self.format not in ("", EXCEL, *SECONDS) and ("%" not in self.format or "%Z" in self.format):
+        if self.format and count_of(self.format) is None and ("%" not in self.format or "%Z" in self.format):
             raise ValueError(
                 f'format is {self.format!r}; expected one as strptime takes it, as in "%d-%m-%Y %H:%M:%S", the unit of '
-                f'numbers, {", ".join(SECONDS)}, or "{EXCEL}"'
+                f'numbers, {", ".join(SECONDS)}, a unit with the date from which it counts, as in "s since 1904-01-01", or one '
+                f"of {', '.join([*NAMES, 'matlab', 'julian'])}"
             )
         if not 1 <= len(self.time) <= 2:
             raise ValueError(f"time names {len(self.time)} columns; expected one, or two that are joined, date and time")
@@ -186,8 +189,12 @@ def load_map(path: str | Path) -> LogMap:
         raise ValueError(f"{path}: {error}") from error
 
 
-def zone(name: str) -> ZoneInfo | None:
-    """Return the time zone of that name, None for ""; ValueError for an unknown one."""
+def zone(name: str) -> tzinfo | None:
+    """Return the time zone of that name, or of an offset such as "+01:00", None for ""; ValueError for an unknown one."""
+    if match := re.fullmatch(r"(?:UTC|GMT)?([+-])(\d\d):?([0-5]\d)", name):
+        away = timedelta(hours=int(match[2]), minutes=int(match[3]))
+        if away < timedelta(days=1):
+            return timezone(-away if match[1] == "-" else away)
     try:
         return ZoneInfo(name) if name else None
     except (ValueError, OSError, LookupError) as error:

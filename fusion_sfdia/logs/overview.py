@@ -11,7 +11,7 @@ from fusion_sfdia.core.arguments import some
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.logs.findings import Finding, counted
-from fusion_sfdia.logs.times import Times
+from fusion_sfdia.logs.times import Expected, Times
 
 Array = NDArray[Any]
 
@@ -19,13 +19,14 @@ STEP = 50.0  # usual steps over those of the plant, above which the times look a
 GAP = 2.5  # usual steps: a time between rows that is longer counts as a gap
 
 
-def overview(plant: Plant, log: Log, times: Times) -> list[Finding]:
+def overview(plant: Plant, log: Log, times: Times, expected: Expected) -> list[Finding]:
     """Findings on the rows, their step and gaps, sensors without readings, and the time zone."""
     t, clock = log.t, times.clock
     span = f" from {clock.at(float(t[0]))} to {clock.at(float(t[-1]))}"
     step = float(np.median(np.diff(t))) if t.size > 1 else plant.dt
     every = f", usually {step:.6g} s apart" if t.size > 1 else ""
     found = [Finding("rows", "", t.size, f"{counted(t.size, 'row')}{span}{every}; times are {times.kind}")]
+    found += times.notes
     if clock.start is not None and clock.start.tzinfo is None:
         text = "the stamps state no time zone: state tz in a map, or an hour is wrong where clocks change"
         found.append(Finding("zone", "", 0, text))

@@ -23,7 +23,7 @@ from fusion_sfdia.logs.order import Rows, in_order
 from fusion_sfdia.logs.overview import overview
 from fusion_sfdia.logs.problems import Problems
 from fusion_sfdia.logs.tables import read_table
-from fusion_sfdia.logs.times import UNKNOWN, Times
+from fusion_sfdia.logs.times import UNKNOWN, Expected, Times
 
 Array = NDArray[Any]
 
@@ -48,13 +48,18 @@ def load_log(
     in order, finite or missing readings, and inputs that are known and within their limits.
     """
     chosen = load_map(log_map) if isinstance(log_map, str | Path) else log_map or PLAIN_MAP
+    allowed = {"absent": absent_sensors, "other": other_columns, "nominal": nominal_inputs}
+    return read_log(source, plant, chosen, allowed, Expected(plant.dt))
+
+
+def read_log(source: Any, plant: Plant, chosen: LogMap, allowed: dict[str, bool], expected: Expected) -> LoadedLog:
+    """The log that `load_log` returns; allowed: as `find_sources` takes it."""
     table = read_table(source, chosen)
     problems = Problems(table.where)
     with problems.collecting("map"):
         require_columns_of(plant, chosen)
-    allowed = {"absent": absent_sensors, "other": other_columns, "nominal": nominal_inputs}
     read = long_rows if chosen.tag else wide_rows
-    sources, rows, times, findings = read(table, plant, chosen, allowed, problems)
+    sources, rows, times, findings = read(table, plant, chosen, allowed, problems, expected)
     if times.kind == UNKNOWN:  # an input without any value is missing however long it is held
         chosen = replace(chosen, hold=inf if chosen.hold else 0.0)
     rows = _ordered(rows, times, chosen, findings, problems)
@@ -70,7 +75,7 @@ def load_log(
         count = len(sources.ignored)
         findings.append(Finding("ignored", "", count, f"{counted(count, 'column')} not used: {some(sources.ignored)}"))
     absent = tuple(n for n in plant.sensor_names if n not in {c.name for c in sources.columns})
-    return LoadedLog(log, times.clock, (*overview(plant, log, times), *findings), absent, sources.columns)
+    return LoadedLog(log, times.clock, (*overview(plant, log, times, expected), *findings), absent, sources.columns)
 
 
 def _ordered(rows: Rows, times: Times, log_map: LogMap, findings: list[Finding], problems: Problems) -> Rows:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.logs.columns import Sources, find_sources, require_columns_of
-from fusion_sfdia.logs.log_map import EXCEL, SECONDS, LogMap, zone
+from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.logs.numbers import Numbers, good_codes
 from fusion_sfdia.logs.problems import Problems
-from fusion_sfdia.logs.times import EPOCH, ISO
+from fusion_sfdia.logs.times import instant
 
 Array = NDArray[Any]
 
@@ -32,33 +32,17 @@ class RowReader(NamedTuple):
     sources: Sources
     numbers: Numbers
 
-    def time(self, row: Mapping[str, Any]) -> tuple[float, datetime | None]:
+    def time(self, row: Mapping[str, Any], near: datetime | None = None) -> tuple[float, datetime | None]:
         """Return the time of a row in seconds, of a stamp since 1970, and the stamp; ValueError for what is no time.
 
-        A stamp of an hour that its zone has twice is taken as the first.
+        near: the time that is expected: a stamp of an hour that its zone has twice is the one nearer to it, or else the first.
         """
         cells = [row[title] for title in self.sources.times]
         cell = cells[0] if len(cells) == 1 else " ".join(str(c).strip() for c in cells)
-        if isinstance(cell, datetime):
-            return self._since_1970(cell)
-        text = cell.strip() if isinstance(cell, str) else cell
         try:
-            if self.log_map.has_pattern:
-                return self._since_1970(datetime.strptime(str(text), self.log_map.format))
-            if isinstance(text, str) and ISO.fullmatch(text):
-                return self._since_1970(datetime.fromisoformat(text.replace(",", ".").upper()))
-            value = self.numbers.cell(text)
-        except (ValueError, TypeError, OverflowError) as error:
-            raise ValueError(
-                f"column {' '.join(self.sources.times)}: {shown(cell)}; expected a time as the map has it"
-            ) from error
-        if np.isnan(value) or self.log_map.format == EXCEL:
-            raise ValueError(f"{self._time_column}: {shown(cell)}; expected seconds, or an ISO time")
-        given = self.log_map.format or self.sources.time_unit
-        for name in [given] if given else ("s", "ms", "us", "ns"):
-            if EPOCH[0] <= value * SECONDS[name] < EPOCH[1]:
-                return value * SECONDS[name], datetime.fromtimestamp(value * SECONDS[name], zone(self.log_map.tz) or UTC)
-        return value * SECONDS[given or "s"], None
+            return instant(cell, self.log_map, self.sources.time_unit, near=near)
+        except ValueError as error:
+            raise ValueError(f"column {' '.join(self.sources.times)}: {error}") from error
 
     def values(self, row: Mapping[str, Any]) -> tuple[Array, Array]:
         """Return readings (N,) and inputs (m,) of a row, NaN where a cell is missing, absent, bad or not of good quality.
@@ -77,15 +61,6 @@ class RowReader(NamedTuple):
                 ) from error
             (u if c.is_input else y)[c.position] = c.conversion(value)
         return y, u
-
-    @property
-    def _time_column(self) -> str:
-        return f"column {' '.join(self.sources.times)}"
-
-    def _since_1970(self, stamp: datetime) -> tuple[float, datetime]:
-        own = zone(self.log_map.tz)
-        aware = stamp.replace(tzinfo=own or UTC) if stamp.tzinfo is None else stamp.astimezone(own) if own else stamp
-        return aware.timestamp(), aware
 
 
 def row_reader(plant: Plant, log_map: LogMap, titles: Sequence[str], *, absent_sensors: bool = False) -> RowReader:

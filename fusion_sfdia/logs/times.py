@@ -1,9 +1,9 @@
-"""The times of a log: seconds, numbers since 1970, or stamps in text; in seconds since the first, with its wall-clock time."""
+"""The times of a log: seconds, numbers since a date, or stamps in text; in seconds since the first, with its wall clock."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime, timedelta, timezone, tzinfo
 from typing import Any, NamedTuple
 
@@ -12,26 +12,69 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.clock import Clock
-from fusion_sfdia.logs.log_map import SECONDS, LogMap, zone
+from fusion_sfdia.logs.epochs import (
+    EXCEL,
+    AmbiguousTimesError,
+    Calendar,
+    Count,
+    calendar_stamps,
+    calendars,
+    count_of,
+    dated,
+    recognised,
+    unix,
+)
+from fusion_sfdia.logs.findings import Finding, counted
+from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap, zone
 from fusion_sfdia.logs.numbers import NotANumberError, Numbers
 from fusion_sfdia.logs.tables import Table
 
 Array = NDArray[Any]
 
-EPOCH = (6.3e8, 4.1e9)  # s since 1970: numbers of the years 1990 to 2099
 ISO = re.compile(r"\d{4}-\d\d-\d\d(?:[T ]\d\d:\d\d(?::\d\d(?:[.,]\d{1,9})?)?)?(?:Z|[+-]\d\d(?::?\d\d)?)?", re.ASCII | re.I)
+BASIC = re.compile(r"(\d{4})(\d\d)(\d\d)[T ](\d\d)(\d\d)(\d\d(?:[.,]\d{1,9})?)?(Z|[+-]\d\d(?::?\d\d)?)?", re.ASCII | re.I)
+APART = re.compile(r"(\S.*?)\s*(UTC|GMT|Z|[+-]\d\d(?::?\d\d)?)", re.ASCII | re.I)  # an offset behind a blank
 OFFSET = re.compile(r"(?:Z|[+-]\d\d(?::?\d\d)?)", re.I)
-DAYS = ("%d-%m-%Y", "%d/%m/%Y", "%m/%d/%Y", "%d.%m.%Y", "%Y/%m/%d", "%d-%b-%y", "%d-%b-%Y")
-COMMON = tuple(f"{day} {hour}" for day in DAYS for hour in ("%H:%M:%S", "%H:%M", "%I:%M:%S %p"))
-EXCEL = np.datetime64("1899-12-30", "ms")  # day 0, with which days from 1900-03-01 on are right
+OF_DAY = re.compile(r"(\d{1,4}):([0-5]\d):([0-5]\d(?:[.,]\d{1,9})?)", re.ASCII)
+MIDNIGHT = re.compile(r"24(?=([:.]?)00(?:\D|00|$)(?!.*24\1?00))")  # the hour in 24:00, at the end of a day
+DAY = 86400.0
+AHEAD = DAY  # s by which a stamp may be ahead of the present: clocks and zones differ
+DAYS = (
+    "%d-%m-%Y", "%d/%m/%Y", "%m/%d/%Y", "%m-%d-%Y", "%d.%m.%Y", "%Y/%m/%d", "%Y.%m.%d", "%d-%b-%y", "%d-%b-%Y", "%d %b %Y",
+    "%b %d %Y", "%b %d, %Y", "%d.%m.%y", "%d/%m/%y", "%m/%d/%y", "%y/%m/%d", "%y-%m-%d",
+)  # fmt: skip
+HOURS = ("%H:%M:%S", "%H:%M", "%I:%M:%S %p", "%I:%M %p", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H.%M.%S")
+COMMON = (*(f"{day} {hour}" for day in DAYS for hour in HOURS), *DAYS)
+
+
+class Expected(NamedTuple):
+    """What the times of a log are judged by: the usual step of the plant (s), None if unknown, and the present, None: now."""
+
+    dt: float | None = None
+    now: datetime | None = None
+
+    @property
+    def latest(self) -> float:
+        """The latest time that a log may have, s since 1970."""
+        return (self.now or datetime.now(UTC)).timestamp() + AHEAD
+
+
+ANY = Expected()
 
 
 class Times(NamedTuple):
-    """Seconds t (K,), since the first stamp where the log has stamps; and where a row is in no order, as the log has it."""
+    """Seconds t (K,), since the first stamp where the log has stamps; and where a row is in no order, as the log has it.
+
+    kind: how the times were written, in words. numbers (K,): as the log has them, None of texts. stated: whether the map or the
+    title says what they are. notes: findings on how they were read.
+    """
 
     t: Array
     clock: Clock
-    kind: str  # how the times were written, in words
+    kind: str
+    numbers: Array | None = None
+    stated: bool = True
+    notes: tuple[Finding, ...] = ()
 
 
 UNKNOWN = "unknown"
@@ -42,29 +85,151 @@ def unknown_times(count: int) -> Times:
     return Times(np.arange(count, dtype=float), Clock(), UNKNOWN)
 
 
-def times_of(table: Table, titles: Sequence[str], unit: str, log_map: LogMap, tags: Sequence[str] | None = None) -> Times:
+class Instant(NamedTuple):
+    """One time: seconds, since 1970 where it is a stamp, and the stamp with its zone, None of plain seconds."""
+
+    seconds: float
+    stamp: datetime | None
+
+
+def instant(
+    cell: Any, log_map: LogMap = PLAIN_MAP, unit: str = "", *, near: datetime | None = None, now: datetime | None = None
+) -> Instant:
+    """Return the time that a single cell states, as `times_of` reads a column; ValueError for what is no time.
+
+    Texts are ISO 8601 or as log_map.format states; numbers are s, ms, us or ns since 1970 by their size, digits of the calendar
+    (12 or 14), what log_map.format or `unit` state, or else seconds. A stamp without an offset is in log_map.tz, UTC without
+    one. near: the time that is expected, with its zone: of an hour that the zone has twice, the one nearer to it is meant;
+    without it the first. now: the present, against which digits are told from numbers since 1970.
+    """
+    if isinstance(cell, np.datetime64):
+        cell = cell.astype("datetime64[us]").astype(datetime)
+    if isinstance(cell, datetime):
+        return _in_zone(cell, log_map, near)
+    text = cell.strip() if isinstance(cell, str) else cell
+    try:
+        if log_map.has_pattern:
+            return _in_zone(_parsed(str(text), log_map.format), log_map, near)
+        if isinstance(text, str) and (stamp := iso(text)):
+            return _in_zone(_parsed(stamp, ""), log_map, near)
+        if isinstance(text, bool):
+            raise ValueError("a truth value")
+        value = Numbers(log_map.decimal, log_map.thousands).cell(text)
+        if np.isnan(value):
+            raise ValueError("no number")
+        seconds, local = _seconds(value, log_map.format or unit, Expected(now=now).latest)
+        if local is None:
+            return Instant(seconds, None)
+        stamp_ = datetime(1970, 1, 1) + timedelta(seconds=seconds)
+        return _in_zone(stamp_ if local else stamp_.replace(tzinfo=UTC), log_map, near)
+    except _NoSuchTimeError:
+        raise
+    except (ValueError, TypeError, OverflowError) as error:
+        form = f"a time as {log_map.format}" if log_map.format else "a time, in seconds or ISO 8601"
+        raise ValueError(f"{shown(cell)}; expected {form}") from error
+
+
+class _NoSuchTimeError(ValueError):
+    """A local time that its zone skips."""
+
+
+def _seconds(value: float, given: str, latest: float) -> tuple[float, bool | None]:
+    """Seconds of a number, and whether they are of the wall clock since 1970, in UTC (False), or since any start (None)."""
+    values = np.array([value])
+    count = count_of(given) if given else None
+    if count is not None and count.since is not None:
+        return float(count.seconds(value)), count.local
+    unit = unix(values, given)
+    if not given and (unit is None or unit.seconds(value) > latest):
+        digits = [c for c in calendars(values, latest) if c.name.startswith("%Y") and len(c.name) > 6]
+        if digits:
+            stamps = calendar_stamps(values, digits[0].name)
+            assert stamps is not None
+            return float((stamps[0] - np.datetime64(0, "us")) / np.timedelta64(1, "s")), True
+        if value > 1e15 and (others := dated(values, latest)):
+            return float(others[0].seconds(value)), others[0].local
+    if unit is not None:
+        return value * unit.unit, False
+    return value * (count.unit if count else 1.0), None
+
+
+def _in_zone(stamp: datetime, log_map: LogMap, near: datetime | None) -> Instant:
+    own = zone(log_map.tz)
+    if stamp.tzinfo is not None:
+        aware = stamp.astimezone(own) if own else stamp
+    else:
+        aware = stamp.replace(tzinfo=own or UTC, fold=0)
+        second = aware.replace(fold=1)
+        if aware.utcoffset() != second.utcoffset():
+            if aware.astimezone(UTC).astimezone(own).replace(tzinfo=None) != stamp.replace(fold=0):
+                raise _NoSuchTimeError(f"{stamp} {_skipped(aware, log_map.tz)}")
+            if near is not None and abs(second.timestamp() - near.timestamp()) < abs(aware.timestamp() - near.timestamp()):
+                aware = second
+    return Instant(aware.timestamp(), aware)
+
+
+def _parsed(text: str, form: str) -> datetime:
+    """A stamp in text, as strptime takes it, or ISO if the format is ""; 24:00 is the end of the day."""
+    try:
+        return datetime.strptime(text, form) if form else datetime.fromisoformat(text.upper())
+    except ValueError:
+        if not (early := MIDNIGHT.sub("00", text, count=1)) != text:
+            raise
+        return (datetime.strptime(early, form) if form else datetime.fromisoformat(early.upper())) + timedelta(days=1)
+
+
+def iso(text: str) -> str:
+    """A text in ISO 8601, also in its basic form or with a blank before the offset, in the extended form; "" of any other."""
+    if ISO.fullmatch(text):
+        return text.replace(",", ".")
+    if match := BASIC.fullmatch(text):
+        year, month, day, hour, minute, second, offset = match.groups()
+        return f"{year}-{month}-{day} {hour}:{minute}:{second or '00'}{offset or ''}".replace(",", ".")
+    if (match := APART.fullmatch(text)) and ":" in match[1] and ISO.fullmatch(match[1]) and not has_offset(match[1], ""):
+        return (match[1] + ("Z" if match[2][0] not in "+-" else match[2])).replace(",", ".")
+    return ""
+
+
+def times_of(
+    table: Table,
+    titles: Sequence[str],
+    unit: str,
+    log_map: LogMap,
+    tags: Sequence[str] | None = None,
+    expected: Expected = ANY,
+) -> Times:
     """Return the times of a table from the columns of these titles, one, or two that are joined.
 
     unit: that the column's title states for numbers. tags: of a long format, in which each tag has its own order. ValueError
-    that names row and column for what is no time, for a time that the zone does not have and for one that it has twice.
+    that names row and column for what is no time, for numbers that may be several, for a time that the zone does not have and
+    for one that it has twice.
     """
     column, title = table.column(titles[0]), " ".join(titles)
     if len(titles) == 2:
-        column = [f"{str(a).strip()} {str(b).strip()}" for a, b in zip(column, table.column(titles[1]), strict=True)]
+        column = [f"{_text(a)} {_text(b)}" for a, b in zip(column, table.column(titles[1]), strict=True)]
     kind = getattr(getattr(column, "dtype", None), "kind", "O")
     if kind == "m":
         return Times(_present(table, title, column) / np.timedelta64(1, "s"), Clock(), "durations")
     if kind == "M":
         stamps, own = _present(table, title, column), getattr(column.dtype, "tz", None)
-        if own is not None or not log_map.tz:
-            return _since_first(stamps, own, log_map, "time stamps")
-        return _since_first(_localised(table, title, stamps, log_map.tz, tags), UTC, log_map, f"time stamps of {log_map.tz}")
+        return _of_stamps(table, title, stamps, own, log_map, tags, "time stamps")
     if not log_map.has_pattern and (kind in "biuf" or log_map.format or _is_number(_first(column), log_map)):
-        return _of_numbers(table, title, column, unit, log_map)
+        return _of_numbers(table, title, column, unit, log_map, tags, expected)
     return _of_texts(table, title, [_text(c) for c in column], log_map, tags)
 
 
-def _of_numbers(table: Table, title: str, column: Any, unit: str, log_map: LogMap) -> Times:
+def _of_stamps(
+    table: Table, title: str, stamps: Array, own: tzinfo | None, log_map: LogMap, tags: Sequence[str] | None, kind: str
+) -> Times:
+    """Stamps in UTC where `own` is the zone that they state; local ones otherwise, in the zone of the map if it has one."""
+    if own is None and log_map.tz:
+        return _since_first(_localised(table, title, stamps, log_map.tz, tags), UTC, log_map, f"{kind} of {log_map.tz}")
+    return _since_first(stamps, own, log_map, kind)
+
+
+def _of_numbers(
+    table: Table, title: str, column: Any, unit: str, log_map: LogMap, tags: Sequence[str] | None, expected: Expected
+) -> Times:
     try:
         values, _ = Numbers(log_map.decimal, log_map.thousands).column(column)
     except NotANumberError as error:
@@ -75,31 +240,47 @@ def _of_numbers(table: Table, title: str, column: Any, unit: str, log_map: LogMa
         raise ValueError(
             f"{table.text(int(np.argmax(np.isnan(values))))}, column {title}: ''; expected a finite number in each row"
         )
-    if log_map.format == "excel":
-        days = np.round(values * 86400e3)
-        if not np.all((days > 0) & (days < 3e15)):
-            raise ValueError(f"{table.where}, column {title}: {values[0]:g}; expected days since 1900, as Excel has them")
-        stamps = EXCEL + days.astype("timedelta64[ms]")
-        if log_map.tz:
-            return _since_first(_localised(table, title, stamps, log_map.tz, None), UTC, log_map, "days of Excel")
-        return _since_first(stamps, None, log_map, "days of Excel")
     given = log_map.format or unit
-    for name in [given] if given else ("s", "ms", "us", "ns"):
-        low, high = (limit / SECONDS[name] for limit in EPOCH)
-        if np.all((values >= low) & (values < high)):
-            micro = np.round(values * (SECONDS[name] * 1e6)) if SECONDS[name] >= 1e-6 else np.round(values / 1e3)
-            stamps = np.datetime64(0, "us") + micro.astype("timedelta64[us]")
-            return _since_first(stamps, UTC, log_map, f"{name} since 1970")
-    return Times(values * SECONDS[given or "s"], Clock(), given or "s")
+    count: Count | Calendar | None = count_of(given) if given else None
+    if count is None:
+        try:
+            count = recognised(values, expected.dt, expected.latest)
+        except AmbiguousTimesError as error:
+            raise ValueError(
+                f"{table.where}, column {title}: {values[0]:.17g} may be a time in several ways; state one in a map: {error}"
+            ) from error
+    if isinstance(count, Calendar):
+        stamps = calendar_stamps(values, count.name)
+        assert stamps is not None
+        found = _of_stamps(table, title, stamps, None, log_map, tags, f"digits of the calendar, {count.name}")
+        return found._replace(numbers=values, stated=False)
+    if count.since is None and (counted_ := unix(values, count.name)) is not None and given:
+        count = counted_
+    if count.since is None:
+        return Times(values * count.unit, Clock(), count.name, values, bool(given))
+    seconds = count.seconds(values)
+    outside = ~((seconds > -6.2e10) & (seconds < 2.5e11)) | ((values <= 0) & (count.name == EXCEL))
+    if outside.any():
+        k, form = int(np.argmax(outside)), f"a number of {count.name}, of a year from 1 to 9998"
+        form = "days since 1900, as Excel has them" if count.name == EXCEL else form
+        raise ValueError(f"{table.text(k)}, column {title}: {values[k]:g}; expected {form}")
+    name = "days of Excel" if count.name == EXCEL else count.name
+    found = _of_stamps(table, title, count.stamps(values), None if count.local else UTC, log_map, tags, name)
+    return found._replace(numbers=values, stated=bool(given))
 
 
 def _of_texts(table: Table, title: str, texts: list[str], log_map: LogMap, tags: Sequence[str] | None) -> Times:
     import pandas
 
     if not log_map.format:
+        if texts and OF_DAY.fullmatch(texts[0]):
+            return _of_day(table, title, texts, tags)
         for k, text in enumerate(texts):
-            if not ISO.fullmatch(text):
+            if ISO.fullmatch(text):
+                continue
+            if not (other := iso(text)):
                 raise ValueError(f"{table.text(k)}, column {title}: {shown(text)}; expected {_expected(texts, k)}")
+            texts[k] = other
         texts = [text.replace(",", ".") for text in texts]
     with_offset = [has_offset(text, log_map.format) for text in texts]
     if len(set(with_offset)) > 1:
@@ -108,10 +289,16 @@ def _of_texts(table: Table, title: str, texts: list[str], log_map: LogMap, tags:
             f"{table.text(k)}, column {title}: {shown(texts[k])} states {'an' if with_offset[k] else 'no'} offset from UTC, "
             "unlike the first row; write all times in one way"
         )
+
+    def parsed(some: Sequence[str]) -> Any:
+        form = log_map.format or "ISO8601"
+        return pandas.to_datetime(pandas.Series(some, dtype=object), format=form, utc=with_offset[0], errors="coerce")
+
     try:
-        stamps = pandas.to_datetime(
-            pandas.Series(texts, dtype=object), format=log_map.format or "ISO8601", utc=with_offset[0], errors="coerce"
-        )
+        stamps = parsed(texts)
+        if (bad := np.flatnonzero(stamps.isna())).size:
+            later = parsed([MIDNIGHT.sub("00", texts[k], count=1) for k in bad]) + pandas.Timedelta(days=1)
+            stamps.iloc[bad] = later.where([bool(MIDNIGHT.search(texts[k])) for k in bad]).astype(stamps.dtype).to_numpy()
     except (ValueError, TypeError, re.error) as error:
         raise ValueError(
             f"{table.where}, column {title}: format is {log_map.format!r} ({error}); expected one as strptime takes it"
@@ -121,11 +308,51 @@ def _of_texts(table: Table, title: str, texts: list[str], log_map: LogMap, tags:
         form = f"a time as {log_map.format}" if log_map.format else "a date and time as 2026-03-01 14:20:05"
         raise ValueError(f"{table.text(k)}, column {title}: {shown(texts[k])}; expected {form}")
     plain = np.asarray(stamps.dt.tz_localize(None) if with_offset[0] else stamps)
+    if log_map.format and not re.search("%[djcxDFsU]", log_map.format):
+        return _over_midnights((plain - np.datetime64("1900-01-01")) / np.timedelta64(1, "s"), tags)
     if with_offset[0]:
         return _since_first(plain, _offset_zone(texts[0]), log_map, "stamps with their offset from UTC")
-    if log_map.tz:
-        return _since_first(_localised(table, title, plain, log_map.tz, tags), UTC, log_map, f"stamps of {log_map.tz}")
-    return _since_first(plain, None, log_map, "stamps")
+    return _of_stamps(table, title, plain, None, log_map, tags, "stamps")
+
+
+def _of_day(table: Table, title: str, texts: Sequence[str], tags: Sequence[str] | None) -> Times:
+    """Times of day without a date; hours from 24 on are of a duration."""
+    seconds = np.empty(len(texts))
+    for k, text in enumerate(texts):
+        if not (match := OF_DAY.fullmatch(text)):
+            raise ValueError(f"{table.text(k)}, column {title}: {shown(text)}; expected a time of day, as in the first row")
+        seconds[k] = int(match[1]) * 3600 + int(match[2]) * 60 + float(match[3].replace(",", "."))
+    if np.any(seconds > DAY):
+        return Times(seconds, Clock(), "hours, minutes and seconds since a start")
+    return _over_midnights(seconds, tags)
+
+
+def _over_midnights(seconds: Array, tags: Sequence[str] | None) -> Times:
+    """Seconds since midnight as seconds since the midnight before the first row: a jump back by half a day is a new day."""
+    t, days = seconds.copy(), 0
+    for rows in _by_tag(tags, seconds.size):
+        within = (steps := np.diff(seconds[rows]))[np.abs(steps) < DAY / 2]
+        if np.sum(within < 0) > np.sum(within > 0):  # the newest come first
+            rows = rows[::-1]
+        steps = np.diff(seconds[rows], prepend=seconds[rows[0]])
+        day = np.cumsum((steps < -DAY / 2).astype(int) - (steps > DAY - 3600.0))  # the latter: a late row of the day before
+        t[rows] += DAY * day
+        days = max(days, int(day.max()))
+    passed = f"; midnight is passed {counted(days, 'time')}" if days else ""
+    text = f"the times of day state no date: seconds count from the midnight before the first row{passed}"
+    return Times(t, Clock(), "times of day", notes=(Finding("no date", "", days, text),))
+
+
+def _by_tag(tags: Sequence[str] | None, count: int) -> Iterator[Array]:
+    """The rows of each tag in their order; of a table without tags all rows."""
+    if tags is None:
+        yield np.arange(count)
+        return
+    import pandas
+
+    names = np.asarray(tags)
+    for name in pandas.unique(names):
+        yield np.flatnonzero(names == name)
 
 
 def _expected(texts: Sequence[str], k: int) -> str:
@@ -134,7 +361,7 @@ def _expected(texts: Sequence[str], k: int) -> str:
     for form in COMMON:
         try:
             for text in texts[k : k + 1000]:
-                datetime.strptime(text, form)
+                _parsed(text, form)
         except ValueError:
             continue
         fitting.append(f'format = "{form}"')
@@ -150,14 +377,12 @@ def _localised(table: Table, title: str, stamps: Array, tz: str, tags: Sequence[
     import pandas
 
     found = np.empty_like(stamps)
-    names = np.zeros(len(stamps)) if tags is None else np.asarray(tags)
-    for group in pandas.unique(names):
-        rows = np.flatnonzero(names == group)
+    for rows in _by_tag(tags, len(stamps)):
         if stamps[rows[-1]] < stamps[rows[0]]:  # the newest come first
             rows = rows[::-1]
         local = pandas.DatetimeIndex(stamps[rows])
         try:
-            utc = local.tz_localize(tz, ambiguous="infer")
+            utc = local.tz_localize(zone(tz), ambiguous="infer")
         except ValueError as error:  # pandas' own and, of an older version, pytz's
             for k, stamp in zip(rows, local, strict=True):
                 _require_single(table, title, int(k), stamp, tz, error)
@@ -171,13 +396,28 @@ def _require_single(table: Table, title: str, k: int, stamp: Any, tz: str, error
     if early.utcoffset() == late.utcoffset():
         return
     if early.astimezone(UTC).astimezone(zone(tz)).replace(tzinfo=None) != stamp.to_pydatetime():
-        fate, cure = "does not exist", "correct tz, or export the log in UTC"
+        fate = _skipped(early, tz)
     else:
-        fate, cure = (
-            "occurs twice, and the order of the rows does not tell which it is",
-            "export the log in UTC or with offsets",
+        fate = (
+            f"occurs twice, and the order of the rows does not tell which it is in {tz}, where clocks change; export the log "
+            f'in UTC or with offsets, or state tz = "{_winter(early)}" of a logger that keeps no summer time'
         )
-    raise ValueError(f"{table.text(k)}, column {title}: {stamp} {fate} in {tz}, where clocks change; {cure}") from error
+    raise ValueError(f"{table.text(k)}, column {title}: {stamp} {fate}") from error
+
+
+def _skipped(stamp: datetime, tz: str) -> str:
+    """What is wrong with a local time that its zone skips, and the cure."""
+    return (
+        f"does not exist in {tz}, where clocks change; correct tz, export the log in UTC, or state "
+        f'tz = "{_winter(stamp)}" of a logger that keeps no summer time'
+    )
+
+
+def _winter(stamp: datetime) -> str:
+    """The offset of a zone without summer time, near a stamp at which its clocks change."""
+    offsets = [stamp.replace(fold=fold).utcoffset() or timedelta() for fold in (0, 1)]
+    minutes = int(min(offsets).total_seconds() // 60)
+    return f"{'-' if minutes < 0 else '+'}{abs(minutes) // 60:02d}:{abs(minutes) % 60:02d}"
 
 
 def _since_first(stamps: Array, own: tzinfo | None, log_map: LogMap, kind: str) -> Times:
