@@ -211,6 +211,14 @@ def find_detector(what: str | Callable[[Plant], Detector] | NamedDetector) -> Na
     return next(registered, NamedDetector(name_of(what), first_line(found), found, source=source_of(found)))
 
 
+def registered_detector(name: str) -> NamedDetector | None:
+    """The detector of this package of that name, or one that code which has run already has registered; None for any other.
+
+    For names that a file states: nothing is imported that the file names, entry points of other packages neither.
+    """
+    return _own_detectors().get(name)
+
+
 def plant(what: str | Plant | Callable[[], Plant] | NamedPlant) -> Plant:
     """Return a plant with its usual settings, given as in `find_plant`; ValueError as there, and if no Plant is made."""
     from fusion_sfdia.core.plant import Plant

@@ -19,6 +19,7 @@ def add_inspect(commands: Any) -> None:
     one.add_argument("--map", type=Path, metavar="MAP.toml", help="how the log is written, and which column is which sensor")
     add_columns(one)
     add_tuned(one)
+    one.add_argument("--detector", help="the detector of --tuned, where `list` does not show it")
     one.add_argument("--detectors", metavar="NAME,...", help="those of the simulated runs (default: one of each school)")
     one.add_argument("--sensors", metavar="NAME,...", help="those with a fault in simulated runs (default: all of up to 16)")
     one.add_argument("--no-simulation", action="store_true", help="theory only")
@@ -41,6 +42,10 @@ def _inspected(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.inspection.inspection import inspect_plant
     from fusion_sfdia.inspection.text import as_json, as_text
 
+    if chosen.detector is not None and chosen.tuned is None:
+        raise ValueError(
+            "--detector is the one of --tuned, which is not given; the detectors of simulated runs are --detectors"
+        )
     model = chosen_plant(chosen)
     healthy = None if chosen.data is None else loaded(chosen, chosen.data, model)
     if healthy is not None:
@@ -52,7 +57,7 @@ def _inspected(chosen: argparse.Namespace) -> int:
             detectors=None if chosen.detectors is None else names(chosen.detectors),
             sensors=None if chosen.sensors is None else names(chosen.sensors),
             simulated=not chosen.no_simulation,
-            tuned=None if chosen.tuned is None else tuned_entry(chosen.plant, chosen.tuned),
+            tuned=None if chosen.tuned is None else tuned_entry(chosen.plant, chosen.detector, chosen.tuned),
         )
     text, data = as_text(found), json.dumps(as_json(found), indent=2)
     if chosen.out is not None:

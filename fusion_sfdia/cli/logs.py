@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from fusion_sfdia.cli.options import add_columns, add_detector, add_plant, add_tuned, columns, printed_warnings
+from fusion_sfdia.cli.options import OR_TUNED, add_columns, add_detector, add_plant, add_tuned, columns, printed_warnings
 from fusion_sfdia.core.numerals import integer
 
 
@@ -46,7 +46,7 @@ def add_diagnose(commands: Any) -> None:
     """Add `diagnose`."""
     one = commands.add_parser("diagnose", help="diagnose the faults in a log", allow_abbrev=False)
     _add_log(one)
-    add_detector(one)
+    add_detector(one, OR_TUNED)
     add_tuned(one)
     one.add_argument(
         "--healthy",

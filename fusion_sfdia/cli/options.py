@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from fusion_sfdia.logs.findings import LoadedLog
 
 WHICH = "a name that `list` shows, module:attribute or path/file.py:attribute"
+OR_TUNED = f"{DEFAULT_DETECTOR}, or that of --tuned where `list` shows it"
 OF_COLUMNS = ("absent_sensors", "other_columns", "nominal_inputs")
 
 
@@ -25,9 +26,9 @@ def add_plant(one: Any) -> None:
     one.add_argument("--plant", default="gas-pipeline", help=f"{WHICH}, or a model.fmu (default: gas-pipeline)")
 
 
-def add_detector(one: Any) -> None:
-    """Add --detector; None where it is not given, so that a tuned file may name it."""
-    one.add_argument("--detector", help=f"{WHICH} (default: {DEFAULT_DETECTOR})")
+def add_detector(one: Any, otherwise: str = DEFAULT_DETECTOR) -> None:
+    """Add --detector; None where it is not given. otherwise: which one is used then."""
+    one.add_argument("--detector", help=f"{WHICH} (default: {otherwise})")
 
 
 def add_tuned(one: Any, what: str = "plant and detector") -> None:

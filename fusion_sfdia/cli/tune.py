@@ -60,13 +60,13 @@ def chosen_plant(chosen: argparse.Namespace) -> Plant:
     return made if chosen.tuned is None else tuned_plant(made, chosen.tuned)
 
 
-def tuned_entry(plant: str, file: Path) -> NamedDetector:
+def tuned_entry(plant: str, detector: str | None, file: Path) -> NamedDetector:
     """The detector of a tuned file under its name; what there is to warn of, `tuned_plant` says."""
     from fusion_sfdia import registry
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        name, built = bound_detector(plant, None, file)
+        name, built = bound_detector(plant, detector, file)
     return registry.NamedDetector(name, f"as tuned in {file}", lambda of: built)
 
 
@@ -80,14 +80,10 @@ def bound_detector(plant: str, detector: str | None, tuned: Path | None) -> tupl
     from fusion_sfdia.tuning.tuned import Tuned
 
     found = Tuned.read(tuned)
-    if detector not in (None, found.detector_name):
-        raise ValueError(
-            f"{tuned} was tuned for {found.detector_name}, not {detector}; leave --detector out, or tune again with --detector "
-            f"{detector}"
-        )
     try:
         with printed_warnings():
-            return found.detector_name, found.detector(registry.plant(plant))
+            entry = found.entry(detector)
+            return entry.name, found.detector(registry.plant(plant), entry)
     except ValueError as error:
         raise ValueError(f"{tuned}: {error}") from error
 

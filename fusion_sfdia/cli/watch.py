@@ -8,7 +8,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion_sfdia.cli.options import add_columns, add_detector, add_plant, add_tuned, columns
+from fusion_sfdia.cli.options import OR_TUNED, add_columns, add_detector, add_plant, add_tuned, columns
 from fusion_sfdia.core.numerals import decimal, integer
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def add_watch(commands: Any) -> None:
         allow_abbrev=False,
     )
     add_plant(one)
-    add_detector(one)
+    add_detector(one, OR_TUNED)
     add_tuned(one)
     one.add_argument("--map", type=Path, metavar="MAP.toml", help="how rows are written: columns, units, bad texts")
     one.add_argument("--opcua", metavar="URL", help="read the rows from an OPC UA server, such as opc.tcp://host:4840")

@@ -83,20 +83,6 @@ def source_of(thing: Any) -> str:
     return f"{thing.__module__}:{getattr(thing, '__qualname__', type(thing).__qualname__)}"
 
 
-def path_of(module: str) -> str | None:
-    """The file of a module that `load` imported from a file, None for any other module."""
-    found = sys.modules.get(module)
-    return str(found.__file__) if found is not None and hasattr(found, "__digest__") else None
-
-
-def imported_from(path: str) -> str | None:
-    """The name of the module that `load` imported from that file, or else from the only one of that file name."""
-    files = {name: file for name in list(sys.modules) if (file := path_of(name))}
-    same = [name for name, file in files.items() if file == path]
-    alike = [name for name, file in files.items() if Path(file).name == Path(path).name]
-    return next(iter(same or (alike if len(alike) == 1 else [])), None)
-
-
 def first_line(thing: Any) -> str:
     """The first line of the docstring of a function or class, without a full stop."""
     return (getdoc(thing) or "").partition("\n")[0].removesuffix(".")

@@ -1,15 +1,14 @@
 """Fitted detectors on disk, without pickle: their class, their settings and arrays; the plant is given again.
 
 A file is written by `write_arrays`: arrays, and a JSON text of the settings, which refers to each array and each class by
-name. Reading one runs no code but the constructors of this package and of modules that are imported already; of a class
-from a file "path/mine.py:make", that file must have been named before.
+name. Reading one calls nothing but constructors: of the detectors and settings of this package, and of classes that the
+caller states. A file imports no other module.
 """
 
 from __future__ import annotations
 
 import json
-import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
@@ -21,10 +20,20 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.references import imported_from, path_of
 from fusion_sfdia.core.storage import fingerprint, read_arrays, require_detector, write_arrays
 
 OWN = __name__.partition(".")[0]
+FOLDERS = (  # those of detectors and their settings
+    "adaptive_thresholds",
+    "core",
+    "data_driven",
+    "filters",
+    "intervals",
+    "kalman_banks",
+    "monitoring",
+    "stochastic_thresholds",
+    "structural_residuals",
+)
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -40,10 +49,11 @@ def save_detector(path: str | Path, detector: Detector) -> None:
     write_arrays(Path(path), {"detector": np.array(settings), "fingerprint": np.array(fingerprint(detector)), **arrays})
 
 
-def load_detector(path: str | Path, plant: Plant) -> Any:
+def load_detector(path: str | Path, plant: Plant, classes: Iterable[type] = ()) -> Any:
     """Read a detector that save_detector wrote, on its plant; on the same machine it decides with the same bits.
 
-    ValueError where the file is of another kind or damaged, where its class is not known here, and where the plant is not
+    classes: of detectors and settings from outside of this package that the file may hold.
+    ValueError where the file is of another kind or damaged, where it holds any other class, and where the plant is not
     the one with which it was saved: another name, noise, step or layout (see `fingerprint`).
     """
     if not isinstance(plant, Plant):
@@ -53,12 +63,13 @@ def load_detector(path: str | Path, plant: Plant) -> Any:
     try:
         arrays = read_arrays(Path(path))
         settings, expected = json.loads(str(arrays.pop("detector"))), str(arrays.pop("fingerprint"))
-    except (KeyError, ValueError) as error:
+    except (KeyError, RecursionError, ValueError) as error:
         raise ValueError(f"{path} is not a saved detector ({error}); write one with save_detector") from error
     try:
-        detector = _unpacked(settings, plant, arrays)
+        detector = _unpacked(settings, plant, arrays, tuple(classes))
+        require_detector(detector)
         fits = fingerprint(detector) == expected
-    except (AttributeError, TypeError, ValueError) as error:
+    except (ArithmeticError, AttributeError, ImportError, LookupError, RecursionError, TypeError, ValueError) as error:
         raise ValueError(f"{path} does not fit plant {plant.name!r} or this version of the package: {error}") from error
     if not fits:
         raise ValueError(
@@ -89,25 +100,24 @@ def _packed(value: Any, plant: Plant, arrays: Arrays, where: str) -> Any:
             "with pickle, or build it again"
         )
     kept = {name: _packed(getattr(value, name), plant, arrays, f"{where}.{name}") for name in names}
-    module = type(value).__module__
-    return {"class": f"{path_of(module) or module}:{type(value).__qualname__}", "settings": kept}
+    return {"class": f"{type(value).__module__}:{type(value).__qualname__}", "settings": kept}
 
 
-def _unpacked(packed: Any, plant: Plant, arrays: Arrays) -> Any:
+def _unpacked(packed: Any, plant: Plant, arrays: Arrays, classes: tuple[type, ...]) -> Any:
     """The inverse of `_packed`."""
     if not isinstance(packed, dict):
         return packed
     if "class" in packed:
-        settings = {name: _unpacked(v, plant, arrays) for name, v in packed["settings"].items()}
-        return _class_of(packed["class"])(**settings)
+        settings = {name: _unpacked(v, plant, arrays, classes) for name, v in packed["settings"].items()}
+        return _class_of(packed["class"], classes)(**settings)
     ((kind, content),) = packed.items()
     if kind == "plant":
         return plant
     if kind in ("array", "scalar"):
         return arrays[content] if kind == "array" else arrays[content][()]
     if kind == "tuple":
-        return tuple(_unpacked(v, plant, arrays) for v in content)
-    return {k: _unpacked(v, plant, arrays) for k, v in content.items()}
+        return tuple(_unpacked(v, plant, arrays, classes) for v in content)
+    return {k: _unpacked(v, plant, arrays, classes) for k, v in content.items()}
 
 
 def _settings_of(kind: type) -> list[str] | None:
@@ -117,24 +127,26 @@ def _settings_of(kind: type) -> list[str] | None:
     return list(getattr(kind, "_fields", [])) or None if issubclass(kind, tuple) else None
 
 
-def _class_of(reference: str) -> type:
-    """The dataclass or named tuple of "module:name" or "path/file.py:name".
+def settings_classes(module: Any) -> list[type]:
+    """The dataclasses and named tuples that a module defines, for `load_detector`."""
+    found = [v for v in vars(module).values() if isinstance(v, type) and v.__module__ == module.__name__]
+    return [kind for kind in found if _settings_of(kind) is not None]
 
-    The module is of this package or imported already. ValueError for any other.
-    """
+
+def _class_of(reference: str, classes: tuple[type, ...]) -> type:
+    """The dataclass or named tuple of "module:name": of this package, or else the one of that name among `classes`."""
     module, _, name = reference.rpartition(":")
-    if module.endswith(".py"):
-        path, module = module, imported_from(module) or ""
-        if not module:
-            raise ValueError(
-                f"its class {name} is of the file {path}, which is not imported yet; build a detector of that file once, with "
-                f"registry.detector('{path}:...', plant), then load this one"
-            )
-    if module.partition(".")[0] != OWN and module not in sys.modules:
-        raise ValueError(f"its class {name} is of the module {module!r}; import that first")
+    package, _, inner = module.partition(".")
+    if package != OWN or inner.partition(".")[0] not in FOLDERS:
+        if kind := next((c for c in classes if c.__qualname__ == name and _settings_of(c) is not None), None):
+            return kind
+        raise ValueError(
+            f"it holds a {name} of {module!r}, which is no detector or setting of this package, and a file imports no code: "
+            f"state the class, load_detector(path, plant, classes=[{name.rpartition('.')[2]}])"
+        )
     found: Any = import_module(module)
     for part in name.split("."):
         found = getattr(found, part)
-    if not isinstance(found, type) or _settings_of(found) is None:
+    if not isinstance(found, type) or _settings_of(found) is None or found.__module__ != module:
         raise ValueError(f"{reference} is no class of settings")
     return found

@@ -30,7 +30,7 @@ from fusion_sfdia.tuning.remarks import remarks
 from fusion_sfdia.tuning.runs import as_even_runs
 from fusion_sfdia.tuning.stationary import require_stationary
 from fusion_sfdia.tuning.tail import Count, Threshold, counted, shortest, threshold
-from fusion_sfdia.tuning.tuned import Tuned, acting_plant, learnt_plant, learnt_tables, plant_table, scaled
+from fusion_sfdia.tuning.tuned import Tuned, acting_plant, learnt_plant, learnt_tables, plant_table, scaled, settings_digest
 
 Array = NDArray[Any]
 
@@ -91,12 +91,13 @@ def tune(
     across = [threshold([part], per_sample).scale for part in parts[::-1]]
 
     tables = {"plant": plant_table(plant)} | learnt_tables(plant, found)
-    final = build(acting_plant(learnt_plant(tables, plant), entry.name), _cut(log, found.settle, len(log.t)))
+    final = build(acting_plant(learnt_plant(tables, plant), entry), _cut(log, found.settle, len(log.t)))
+    digest = {} if entry.learns else {"digest": settings_digest(final)}
     final = scaled(final, limit.scale, per_sample)
     late = delays(final, log, found.settle)
     for i, row in enumerate(tables["sensors"].values()):
         row |= {f"delay_{size:g}": float(late.delay[s, i]) for s, size in enumerate(late.sizes)}
-    used = {"name": entry.name, "threshold_scale": limit.scale, "false_alarm": str(rate), "per_sample": per_sample}
+    used = {"name": entry.name, "threshold_scale": limit.scale, "false_alarm": str(rate), "per_sample": per_sample} | digest
     provenance = {
         "healthy": [
             {
@@ -111,7 +112,7 @@ def tune(
     }
     quality = _quality(found, log, limit, counted(parts, across), late, rate, dt)
     document = {"plant": tables["plant"], "detector": used, **{k: v for k, v in tables.items() if k != "plant"}}
-    return Tuned(document | provenance | {"quality": quality}, final if entry.learns else None)
+    return Tuned(document | provenance | {"quality": quality}, final if entry.learns else None, entry)
 
 
 def _runs(log: Log) -> list[Log]:
@@ -175,7 +176,7 @@ def _held_out_scores(found: Commissioning, log: Log, build: Any) -> list[Array]:
     ends = [(found.settle, found.middle), (found.middle, len(log.t))]
     parts = []
     for own, learnt, plant in zip(ends, ends[::-1], found.halves[::-1], strict=True):
-        detector = build(acting_plant(plant, build.args[0].name), _cut(log, *learnt))
+        detector = build(acting_plant(plant, build.args[0]), _cut(log, *learnt))
         state, scores = silent_scores(silent(detector), *_cut(log, 0, own[1]))
         if np.any(state.diverged):
             raise ValueError(

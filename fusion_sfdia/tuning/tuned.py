@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, replace
+import re
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +22,12 @@ from fusion_sfdia.commissioning.start import Start, with_start
 from fusion_sfdia.core.arguments import number, shown
 from fusion_sfdia.core.augment import fixed
 from fusion_sfdia.core.batch_detector import BatchDetector
+from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.files import all_or_none
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.rate import Rate
-from fusion_sfdia.core.saved_detectors import load_detector, save_detector
+from fusion_sfdia.core.references import name_of
+from fusion_sfdia.core.saved_detectors import load_detector, save_detector, settings_classes
 from fusion_sfdia.core.uncertainty import error_of
 from fusion_sfdia.tuning.document import read_document, write_document
 from fusion_sfdia.tuning.response import response, warn_of_change
@@ -34,7 +39,8 @@ COMMENTS = {
     "SI units, standard deviations, seconds. Thresholds hold for these values: tune again rather than edit.",
     "plant": "For this plant only: the digest is of the names and units of its states, inputs, sensors and parameters.\n"
     "response: two numbers by which a change of its equations is noticed.",
-    "detector": "threshold_scale is a factor on all thresholds, which healthy readings exceed at the stated rate.",
+    "detector": "name: of the detectors of this package; any other is given with --detector, as this file imports no code.\n"
+    "threshold_scale is a factor on all thresholds, which healthy readings exceed at the stated rate.",
     "sensors": "Noise of each sensor, and what the plant states; delay of a bias of so many sigma (s, see quality).",
     "process_noise": "Factor on the standard deviation that the plant states, of all states of a unit.",
     "parameters": "Estimates with standard deviation, and what the plant states.",
@@ -49,11 +55,13 @@ COMMENTS = {
 class Tuned:
     """A tuned plant and detector: document holds the tables of the file, fitted the detector where it learns from data.
 
-    fitted: the detector, or the file that `save_detector` wrote; None where class, plant and scale suffice.
+    fitted: the detector, or the file that `save_detector` wrote; None where class, plant and scale suffice. build: what `tune`
+    has built the detector with; None of one that was read, as a file names a detector but imports no code.
     """
 
     document: dict[str, Any]
     fitted: Any = None
+    build: registry.NamedDetector | None = None
 
     @property
     def rate(self) -> Rate:
@@ -67,7 +75,7 @@ class Tuned:
 
     @property
     def detector_name(self) -> str:
-        """The detector for which the thresholds hold, a name or a reference."""
+        """The detector for which the thresholds hold: a registered name, or how another one was named when it was tuned."""
         return str(self.document["detector"]["name"])
 
     @property
@@ -81,13 +89,47 @@ class Tuned:
         warn_of_change(self.document["plant"], plant)
         return learnt_plant(self.document, plant)
 
-    def detector(self, plant: Plant) -> Any:
-        """The tuned detector on the plant as `plant` gives it, from the plant as its maker gives it; ValueError as there."""
-        acting = acting_plant(self.plant(plant), self.detector_name)
+    def detector(self, plant: Plant, detector: str | Callable[[Plant], Detector] | registry.NamedDetector | None = None) -> Any:
+        """The tuned detector on the plant as `plant` gives it, from the plant as its maker gives it; ValueError as there.
+
+        detector: the one that was tuned, given as in `registry.find_detector`; needed where it is none of this package.
+        ValueError where it is another than the one that was tuned, or has other settings now.
+        """
+        entry = self.entry(detector)
+        acting = acting_plant(self.plant(plant), entry)
+        if isinstance(self.fitted, Path):
+            return load_detector(self.fitted, acting, classes_beside(entry))
         if self.fitted is not None:
-            return load_detector(self.fitted, acting) if isinstance(self.fitted, Path) else self.fitted
-        built: Any = registry.detector(self.detector_name, acting)
+            return self.fitted
+        built: Any = registry.detector(entry, acting)
+        if (expected := self.document["detector"].get("digest")) not in (None, settings_digest(built)):
+            raise ValueError(
+                f"it was tuned for {self.detector_name} with the digest {shown(expected)}, {entry.name} is now a "
+                f"{type(built).__name__} with other settings, of the digest {settings_digest(built)!r}; tune again with it"
+            )
         return scaled(built, self.threshold_scale, number("per_sample", self.document["detector"]["per_sample"]))
+
+    def entry(self, given: str | Callable[[Plant], Detector] | registry.NamedDetector | None = None) -> registry.NamedDetector:
+        """The detector to build: the given one, or else that of the file's name where it is one of this package.
+
+        ValueError where the given one is another, and where none is given and the file's is none of this package.
+        """
+        name = self.detector_name
+        if given is None:
+            known = self.build or registry.registered_detector(name)
+            if known is None:
+                raise ValueError(
+                    f"it was tuned for the detector {shown(name)}, which is none of this package, and a settings file imports "
+                    "no code: state where that detector is, with --detector (in Python as the argument detector)"
+                )
+            return known
+        label = given.name if isinstance(given, registry.NamedDetector) else name_of(given)
+        names = {
+            (registry.registered_detector(n) and n) or n.rpartition(":")[2] for n in (name, label)
+        }  # the file may have moved
+        if len(names) > 1:
+            raise ValueError(f"it was tuned for {name}, not {label}; leave --detector out, or tune again with it")
+        return registry.find_detector(given)
 
     def write(self, path: str | Path) -> None:
         """Write the file, and beside it (.npz) a detector that learns from data."""
@@ -119,6 +161,8 @@ class Tuned:
             if not isinstance(found, form) or not all(isinstance(row, dict) for row in rows):
                 raise ValueError(f"{path}: [{table}] is not as `fusion-sfdia tune` writes it; restore the file, or tune again")
         beside = document["detector"].get("fitted")
+        if beside is not None and not (isinstance(beside, str) and re.fullmatch(r"[^/\\:]+\.npz", beside)):
+            raise ValueError(f"{path}: fitted is {shown(beside)}; expected the name of an .npz file in the same folder")
         tuned = cls(document, None if beside is None else path.parent / str(beside))
         try:
             if not 0 < tuned.threshold_scale < np.inf:
@@ -145,12 +189,39 @@ def scaled(detector: Any, scale: float, rate: float) -> Any:
     return replace(detector, threshold_scale=scale * detector.threshold_scale, **fitted)
 
 
-def acting_plant(plant: Plant, detector: str) -> Plant:
+def settings_digest(detector: Any) -> str:
+    """A digest of the class of a detector and of its settings, numbers to 6 digits, arrays by their shape alone: what follows
+    from the plant may differ in its last bits between machines.
+    """
+    return hashlib.sha256(_described(detector).encode()).hexdigest()[:16]
+
+
+def _described(value: Any) -> str:
+    if is_dataclass(value) and not isinstance(value, type | Plant):
+        settings = (f"{f.name}={_described(getattr(value, f.name))}" for f in fields(value) if f.init)
+        return f"{type(value).__qualname__}({', '.join(settings)})"
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype}{value.shape}"
+    if isinstance(value, tuple | list):
+        return f"({', '.join(map(_described, value))})"
+    if isinstance(value, float | np.floating):
+        return f"{float(value):.6g}"
+    if value is None or isinstance(value, bool | int | str):
+        return repr(value)
+    return type(value).__qualname__
+
+
+def classes_beside(entry: registry.NamedDetector) -> list[type]:
+    """The classes of the module that builds a detector, which a saved detector of it may have among its settings."""
+    module = getattr(entry.build, "__module__", None) or entry.source.partition(":")[0]
+    return settings_classes(sys.modules[module]) if module in sys.modules else []
+
+
+def acting_plant(plant: Plant, entry: registry.NamedDetector) -> Plant:
     """The plant on which a detector acts: one that runs a filter on it estimates learnt disturbances along.
 
     A detector that tests the process does so by itself.
     """
-    entry = registry.find_detector(detector)
     if entry.tests_process or entry.learns or not plant.uncertainty.disturbances:
         return plant
     return fixed(plant) if hasattr(registry.detector(entry, plant), "estimator") else plant

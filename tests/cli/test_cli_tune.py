@@ -96,7 +96,10 @@ def test_tune_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Path, 
 
     for arguments, reason in (
         (("--tuned", "tuned.toml", "--healthy", "0..100"), "--tuned and --healthy both state what is healthy; give one"),
-        (("--tuned", "tuned.toml", "--detector", "pca"), "tuned.toml was tuned for robust-glr, not pca; leave --detector out"),
+        (
+            ("--tuned", "tuned.toml", "--detector", "pca"),
+            "tuned.toml: it was tuned for robust-glr, not pca; leave --detector out",
+        ),
         (("--tuned", "toy.py"), "toy.py is not a TOML file"),
         (("--tuned", "tuned.toml", "--plant", "two-tanks"), "tuned.toml: it was tuned for another plant than 'two-tanks'"),
         (("--healthy", "300..400"), "no reading from 300 to 400; the log goes from 1 s to 250 s"),

@@ -35,14 +35,14 @@ class Mine(CentralFilter):
 )
 def test_a_setting_comes_back_as_it_was(value: Any, tmp_path: Path) -> None:
     save_detector(tmp_path / "mine.npz", Mine(PLANT, any=value))
-    found = load_detector(tmp_path / "mine.npz", PLANT)
+    found = load_detector(tmp_path / "mine.npz", PLANT, [Mine])
     assert type(found) is Mine and found.any == value and type(found.any) is type(value) and found.plant is PLANT
 
 
 @pytest.mark.parametrize("array", [np.array(0.1), np.eye(3, dtype=np.float32), np.array([True, False]), np.array(["a", "b"])])
 def test_an_array_comes_back_to_the_bit(array: np.ndarray, tmp_path: Path) -> None:
     save_detector(tmp_path / "mine.npz", Mine(PLANT, any=(array, array + array if array.dtype.kind == "f" else array)))
-    found = load_detector(tmp_path / "mine.npz", PLANT).any
+    found = load_detector(tmp_path / "mine.npz", PLANT, [Mine]).any
     np.testing.assert_array_equal(found[0], array)
     assert found[0].dtype == array.dtype and found[0].shape == array.shape and len(found) == 2
 
@@ -78,25 +78,55 @@ def test_another_plant_or_file_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("reference", "message"),
     [
-        ("antigravity:Detector", "its class Detector is of the module 'antigravity'; import that first"),
-        ("os:system", "os:system is no class of settings"),
+        (
+            "antigravity:Detector",
+            r"holds a Detector of 'antigravity', which is no detector or setting .* imports no code: state",
+        ),
+        ("os:system", "holds a system of 'os', which is no detector or setting of this package"),
+        ("/elsewhere/mine.py:Mine", "holds a Mine of '/elsewhere/mine.py', which is no detector or setting of this package"),
+        ("fusion_sfdia.__main__:main", "holds a main of 'fusion_sfdia.__main__', which is no detector or setting"),
+        ("fusion_sfdia.experiments.output:Command", "which is no detector or setting of this package"),
         ("fusion_sfdia.core.files:atomic_write", "is no class of settings"),
+        ("fusion_sfdia.core.files:Path", "is no class of settings"),
+        ("fusion_sfdia.core.plant:Uncertainty", "is no class of settings"),
         ("fusion_sfdia.core.plant:Nothing", "has no attribute 'Nothing'"),
+        ("fusion_sfdia.core.nothing:Nothing", "No module named 'fusion_sfdia.core.nothing'"),
+        ("fusion_sfdia.core.signals:Signal", "unexpected keyword argument"),
     ],
 )
 def test_a_file_names_no_other_code(reference: str, message: str, tmp_path: Path) -> None:
-    """A crafted file calls nothing but classes of settings, and imports no module from outside of the package."""
+    """A crafted file calls nothing but classes of detectors and settings, and imports no module from outside of the package."""
     path = tmp_path / "mine.npz"
     save_detector(path, Mine(PLANT))
     found = read_arrays(path)
     found["detector"] = np.array(str(found["detector"]).replace(f"{Mine.__module__}:Mine", reference))
     write_arrays(path, found)
+    before = set(sys.modules)
     with pytest.raises(ValueError, match=message):
+        load_detector(path, PLANT)
+    assert "antigravity" not in set(sys.modules) - before
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        "[" * 100_000,
+        '{"tuple": [], "mapping": {}}',
+        '{"class": "fusion_sfdia.core.plant:Plant", "settings": {}}',
+        '{"array": "x"}',
+        "3",
+    ],
+    ids=["deep", "two kinds", "a plant", "no array", "a number"],
+)
+def test_crafted_settings_are_one_clear_error(settings: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.npz"
+    write_arrays(path, {"detector": np.array(settings), "fingerprint": np.array("")})
+    with pytest.raises(ValueError, match=r"mine.npz (is not a saved detector|does not fit plant)"):
         load_detector(path, PLANT)
 
 
-def test_a_detector_of_a_file_is_loaded_once_its_file_is_imported(tmp_path: Path) -> None:
-    """In a new process the error names the file and the cure, and the cure works; also where the file was moved."""
+def test_a_detector_of_a_file_is_loaded_where_its_class_is_stated(tmp_path: Path) -> None:
+    """In a new process the error names the class and the cure, and the cure works; also where the file was moved."""
     (tmp_path / "bank.py").write_text(
         "from dataclasses import dataclass\n"
         "from fusion_sfdia.kalman_banks.central_filter import CentralFilter\n"
@@ -109,19 +139,13 @@ def test_a_detector_of_a_file_is_loaded_once_its_file_is_imported(tmp_path: Path
     path, file = tmp_path / "bank.npz", tmp_path / "bank.py"
     saved = registry.detector(f"{file}:make", PLANT)
     save_detector(path, saved)
-    del sys.modules[type(saved).__module__]  # as in a new process
-    with pytest.raises(
-        ValueError,
-        match=rf"its class Bank is of the file {file}, which is not imported yet; build .* registry.detector\('{file}:",
-    ):
+    with pytest.raises(ValueError, match=r"holds a Bank of 'bank_.*load_detector\(path, plant, classes=\[Bank\]\)"):
         load_detector(path, PLANT)
-    moved = tmp_path / "moved" / "bank.py"
-    moved.parent.mkdir()
-    registry.detector(f"{file}:make", PLANT)
-    assert load_detector(path, PLANT).size == 7
-    del sys.modules[type(saved).__module__]
-    registry.detector(f"{file.rename(moved)}:make", PLANT)
-    assert load_detector(path, PLANT).size == 7
+    moved = file.rename(tmp_path / "moved.py")
+    again = type(registry.detector(f"{moved}:make", PLANT))
+    assert again is not type(saved)
+    found = load_detector(path, PLANT, classes=[again])
+    assert type(found) is again and found.size == 7
 
 
 def test_names_in_place_of_objects_and_a_state_in_place_of_a_detector_are_one_clear_error(tmp_path: Path) -> None:
