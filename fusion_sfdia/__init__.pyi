@@ -124,6 +124,9 @@ from fusion_sfdia.registry import register_plant as register_plant
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev as Chebyshev
 from fusion_sfdia.stochastic_thresholds.replug import replug as replug
 from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals as StructuralResiduals
+from fusion_sfdia.study.audit import Audit as Audit
+from fusion_sfdia.study.audit import audit as audit
+from fusion_sfdia.study.random_plants import random_plant as random_plant
 from fusion_sfdia.tuning.tune import tune as tune
 from fusion_sfdia.tuning.tuned import Tuned as Tuned
 

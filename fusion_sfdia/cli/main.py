@@ -15,6 +15,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 
 from fusion_sfdia import __version__
+from fusion_sfdia.cli.audit import add_audit
 from fusion_sfdia.cli.compiling import announced
 from fusion_sfdia.cli.fmu import add_fmu
 from fusion_sfdia.cli.inspect import add_inspect
@@ -49,6 +50,7 @@ def parser() -> argparse.ArgumentParser:
     add_watch(commands)
     add_tune(commands)
     add_inspect(commands)
+    add_audit(commands)
     add_fmu(commands)
     add_monitor(commands)
     add_bench(commands)

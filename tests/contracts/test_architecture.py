@@ -41,6 +41,7 @@ FOLDERS: dict[str, set[str]] = {
     "experiments": {"core", "evaluation", "report", "models", "benchmarks"},  # of the last two their files alone
 }
 FOLDERS["scenarios"] = {"core", "registry", "experiments"}
+FOLDERS["study"] = {"core", "evaluation", "experiments"}
 FOLDERS["comparison"] = {*FOLDERS} - {"intervals", *SCHOOLS}
 FOLDERS["robustness"] = {*FOLDERS} - {"intervals", *SCHOOLS}
 FOLDERS["benchmarks"] = {*FOLDERS}

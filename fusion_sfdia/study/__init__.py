@@ -1,0 +1,1 @@
+"""Which errors of real plants a detector survives: noise, starts, model errors and causes that no protocol was tuned to."""

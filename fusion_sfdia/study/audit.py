@@ -1,0 +1,244 @@
+"""Audit of a detector on a plant: which of the errors and causes of `protocol` it survives, as numbers and in words."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from fusion_sfdia.core.detector import Detector
+from fusion_sfdia.evaluation.diagnose import DiagnosisWarning, diagnose_run
+from fusion_sfdia.evaluation.metrics import Estimate, proportion, rate_over_runs
+from fusion_sfdia.evaluation.results import Row, row_of
+from fusion_sfdia.experiments.workers import in_processes
+from fusion_sfdia.study.protocol import GROUPS, STEPS, Case, cases_for, trial
+
+Array = NDArray[Any]
+
+GRACE = 20  # rows after a repair, in which a sensor may still be isolated and the process still be named
+LEVELS = ((0.0, 0.5), (0.5, 0.9), (0.9, 1.0))  # of confidence
+FEWEST = 90  # rows of a trial
+SURVIVED = 0.02  # largest share of rows in which a healthy sensor is isolated
+
+
+KINDS = ("false", "right", "undecided", "wrong", "missed")
+METRICS = {"false": "false_isolation_probability", **{k: f"{k}_verdict_probability" for k in KINDS[1:]}}  # in results files
+
+
+class Outcome(NamedTuple):
+    """A trial: how many rows it has, how many are judged, and how many are of each of `KINDS`, of all or of those judged.
+
+    Judged are the rows with a cause, without one all. False, of all rows: a healthy sensor is isolated. Right: exactly the
+    faulty sensors are isolated, and the process is named if and only if it differs. Wrong: a healthy sensor is isolated, or the
+    process named that is as modelled. Undecided: neither, with suspects or without an estimate. Missed: neither, and nothing
+    is reported. delay: judged rows before the first right one, inf for none. at_end: whether a healthy sensor is isolated in
+    the last row. events: of each event of a sensor its confidence, and whether that sensor was faulty then.
+    """
+
+    rows: int
+    judged: int
+    counts: tuple[int, ...]
+    delay: float
+    at_end: bool
+    events: tuple[tuple[float, bool], ...]
+
+
+class CaseResult(NamedTuple):
+    """What a detector makes of a case over `runs` trials: shares of `KINDS` with 95 % intervals, and the median delay (rows).
+
+    at_end: trials in the last row of which a healthy sensor is isolated. left_out: why there are no trials, "" where there are.
+    """
+
+    case: Case
+    runs: int
+    shares: dict[str, Estimate]
+    delay: float
+    at_end: int
+    left_out: str
+
+    @property
+    def survived(self) -> bool:
+        """Whether healthy sensors are isolated in at most `SURVIVED` of the rows."""
+        return not self.shares["false"].value > SURVIVED
+
+
+def outcome(detector: Detector, case: Case, seed: int, steps: int = STEPS) -> Outcome:
+    """Diagnose the trial of a seed. ArithmeticError where its truth leaves the limits of the plant."""
+    plant = detector.plant
+    log, faulty, process = trial(plant, case, seed, steps)
+    with warnings.catch_warnings(), threadpool_limits(1):
+        warnings.simplefilter("ignore", DiagnosisWarning)
+        found = diagnose_run(detector, log)
+    decisions = found.decisions
+    isolated = decisions.isolated[:, : len(plant.sensors)]
+    named, suspected = (
+        np.zeros(len(faulty), bool) if held is None else held.any(axis=-1) for held in (decisions.process, decisions.suspect)
+    )
+
+    def faulty_between(start: float, end: float) -> set[str]:
+        fails = np.any(faulty[(log.t >= start) & (log.t <= end)], axis=0)
+        return {plant.sensor_names[i] for i in np.flatnonzero(fails)}
+
+    model_is_off = bool(case.off or case.undeclared)  # then a verdict on the process is as right as none
+    cause = faulty.any(axis=-1) | process
+    judged = cause if cause.any() else np.ones(len(faulty), bool)
+    false: Array = np.any(isolated & ~lasting(faulty), axis=-1)
+    wrong = false | (named & ~lasting(process) & (not model_is_off))
+    right = ~wrong & (isolated == faulty).all(axis=-1) & ((named == process) | model_is_off) & (cause | ~suspected)
+    undecided = ~right & ~wrong & (suspected | decisions.diverged)
+    judged_kinds = (right, undecided, wrong, ~(right | undecided | wrong))
+    first = np.flatnonzero(right[judged])
+    return Outcome(
+        rows=len(faulty),
+        judged=int(judged.sum()),
+        counts=(int(false.sum()), *(int((which & judged).sum()) for which in judged_kinds)),
+        delay=float(first[0]) if first.size else np.inf,
+        at_end=bool(false[-1]),
+        events=tuple(
+            (e.confidence, e.hypothesis in faulty_between(e.start, e.end))
+            for e in found.events
+            if e.kind == "sensor" and np.isfinite(e.confidence)
+        ),
+    )
+
+
+def lasting(held: Array) -> Array:
+    """Where it holds, or held within the last `GRACE` rows (K, ...)."""
+    found = held.copy()
+    for k in range(1, min(GRACE, len(held) - 1) + 1):
+        found[k:] |= held[:-k]
+    return found
+
+
+def result_of(case: Case, outcomes: Sequence[Outcome], left_out: str) -> CaseResult:
+    """The shares over the trials of a case."""
+    counts = np.array([o.counts for o in outcomes]).reshape(-1, len(KINDS))
+    rows, judged = (np.array([getattr(o, what) for o in outcomes], int) for what in ("rows", "judged"))
+    shares = {kind: rate_over_runs(counts[:, k], judged if k else rows) for k, kind in enumerate(KINDS)}
+    delay = float(np.median([o.delay for o in outcomes])) if outcomes else np.nan
+    return CaseResult(case, len(outcomes), shares, delay, sum(o.at_end for o in outcomes), left_out)
+
+
+@dataclass(frozen=True)
+class Audit:
+    """The results of an audit, by case; str(audit) is the table that `fusion-sfdia audit` prints.
+
+    reliability: of the events of sensors with a confidence in [low, high] their number and the share that was right.
+    """
+
+    plant: str
+    detector: str
+    steps: int
+    results: tuple[CaseResult, ...]
+    reliability: tuple[tuple[float, float, Estimate], ...]
+
+    def rows(self) -> list[Row]:
+        """The numbers as rows of a results file: the case as condition, its group as quantity."""
+        found = []
+        for r in self.results:
+            of = partial(row_of, self.plant, "audit", self.detector, "none", r.case.group, condition=r.case.name)
+            found += [of(metric=METRICS[kind], estimate=estimate) for kind, estimate in r.shares.items()]
+        for low, high, estimate in self.reliability:
+            of = partial(row_of, self.plant, "audit", self.detector, "none", "all", condition=f"confidence {low:g} to {high:g}")
+            found.append(of(metric="right_event_probability", estimate=estimate))
+        return found
+
+    def __str__(self) -> str:
+        width, trials = (max(of) for of in zip(*((len(r.case.about), r.runs) for r in self.results), strict=True))
+        lines = [
+            f"{self.detector} on {self.plant}: {trials} trials a case, of {self.steps} rows, judged from the first one",
+            f"{'':{width}}  healthy sensor  right  cannot  wrong  missed  rows until",
+            f"{'':{width}}  isolated               tell                   right",
+        ]
+        for group in dict.fromkeys(r.case.group for r in self.results):
+            lines.append(f"{group}:")
+            lines += [f"{r.case.about:{width}}  {_cells(r)}" for r in self.results if r.case.group == group]
+        broken = [r.case.about for r in self.results if not r.survived]
+        lines.append(
+            f"isolates healthy sensors in more than {SURVIVED:.0%} of the rows under: {'; '.join(broken)}"
+            if broken
+            else f"isolates healthy sensors in at most {SURVIVED:.0%} of the rows in every case"
+        )
+        lines += [
+            f"of {e.n} events with a confidence of {low:g} to {high:g}, {e.value:.0%} are right ({e.low:.0%} to {e.high:.0%})"
+            for low, high, e in self.reliability
+            if e.n
+        ]
+        return "\n".join(lines)
+
+
+def _cells(r: CaseResult) -> str:
+    if not r.runs:
+        return f"left out: {r.left_out}"
+    (p, low, high, _), *others = r.shares.values()
+    right, undecided, wrong, missed = (f"{e.value:.2f}" for e in others)
+    delay = f"{r.delay:.0f}" if np.isfinite(r.delay) else "-"
+    return f"{p:.2f} ({low:.2f}-{high:.2f})  {right}  {undecided:>6}  {wrong:>5}  {missed:>6}  {delay:>7}"
+
+
+class _Work(NamedTuple):
+    """A case with its trials, and what makes the detector."""
+
+    make: Callable[[], Detector]
+    position: int
+    case: Case
+    seeds: tuple[int, ...]
+    steps: int
+
+
+def _done(work: _Work) -> tuple[int, list[Outcome], str]:
+    """The outcomes of a case; why there is none, where the truth leaves the limits of the plant."""
+    detector, found, why = work.make(), [], ""
+    for seed in work.seeds:
+        try:
+            found.append(outcome(detector, work.case, seed, work.steps))
+        except ArithmeticError as error:
+            why = str(error)
+    return work.position, found, why
+
+
+def _itself(detector: Detector) -> Detector:
+    return detector
+
+
+def audit(
+    detector: Detector | Callable[[], Detector],
+    *,
+    seeds: Sequence[int] = range(8),
+    steps: int = STEPS,
+    groups: Sequence[str] = GROUPS,
+    workers: int = 1,
+    each: Callable[[Iterator[Any], int], Iterator[Any]] = lambda done, count: done,
+    name: str = "",
+) -> Audit:
+    """Run all cases that a plant can have, and judge what the detector says.
+
+    detector: with its plant, or what makes it, in each process. seeds: of the trials of each case. steps: rows of a trial, at
+    least `FEWEST`. groups: of cases. workers: processes. each: wraps the cases as they are done, with their number, to show
+    progress. name: of the detector in the result. ValueError for settings that do not fit.
+    """
+    if steps < FEWEST or not seeds:
+        raise ValueError(f"{steps} steps and {len(seeds)} seeds; expected at least {FEWEST} rows a trial and one seed")
+    if unknown := [g for g in groups if g not in GROUPS]:
+        raise ValueError(f"unknown group {unknown[0]!r}; known: {', '.join(GROUPS)}")
+    make = partial(_itself, detector) if isinstance(detector, Detector) else detector
+    made = make()
+    cases = cases_for(made.plant, groups)
+    work = [_Work(make, i, case, tuple(seeds), steps) for i, case in enumerate(cases)]
+    done = map(_done, work) if workers == 1 else in_processes(_done, work, workers)
+    found = sorted(each(iter(done), len(work)), key=lambda one: one[0])
+    results = tuple(result_of(cases[i], outcomes, why) for i, outcomes, why in found)
+    events = np.array([event for _, outcomes, _ in found for o in outcomes for event in o.events], float).reshape(-1, 2)
+    stated, right = events[:, 0], events[:, 1] == 1
+    reliability = tuple(
+        (low, high, proportion(int(right[inside].sum()), int(inside.sum())))
+        for low, high in LEVELS
+        for inside in [(stated >= low) & ((stated < high) | (high == 1.0))]
+    )
+    return Audit(made.plant.name, name or type(made).__name__, steps, results, reliability)
