@@ -238,19 +238,15 @@ def _variable(v: Any, units: dict[str, Any], rate: int | None) -> Variable:
 
 
 def unit_text(name: str, unit: Any = None) -> str:
-    """A unit of FMI as pint reads it: Modelica writes W/(m2.K), pint W/(m^2*K). One that pint does not know is written in base
-    units where the FMU defines it by these alone (without factor or offset); otherwise it stays as it is.
+    """A unit of FMI as it is written, W/(m2.K). One that is unknown is written in base units where the FMU defines it by these
+    alone (without factor or offset); otherwise it stays as it is.
     """
     if not name:
         return "1"
-    from fusion_sfdia.logs.conversion import is_unknown
+    from fusion_sfdia.logs.unit_texts import is_unknown
 
-    plain = re.sub(r"(?<=[\w)])\.(?=[A-Za-z(])", "*", name)
-    plain = re.sub(r"(?<=[A-Za-z])([-+]?\d+(?:\.\d+)?)(?!\w)", r"^\1", plain)
-    if (known := next((text for text in (name, plain) if not is_unknown(text)), None)) is not None:
-        return known
     base = getattr(unit, "baseUnit", None)
-    if base is None or base.factor != 1.0 or base.offset != 0.0:
+    if not is_unknown(name) or base is None or base.factor != 1.0 or base.offset != 0.0:
         return name
     return "*".join(f"{u}^{getattr(base, u)}" for u in BASE_UNITS if getattr(base, u)) or "1"
 
