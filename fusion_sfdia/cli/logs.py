@@ -96,7 +96,7 @@ def _check_log(chosen: argparse.Namespace) -> int:
             print(json.dumps([asdict(p) for p in error.problems], indent=2))
         raise
     print(json.dumps([asdict(f) for f in found.findings], indent=2) if chosen.json else found)
-    return 0
+    return int(found.misread)
 
 
 def _simulate(chosen: argparse.Namespace) -> int:
@@ -188,7 +188,7 @@ def _diagnose(chosen: argparse.Namespace) -> int:
         name, built, read = diagnosing_detector(chosen)
         read = read or load_log(chosen.data, built.plant, chosen.map, **columns(chosen))
         found = diagnose_log(chosen.data, built, out, read=read, held=True, detector_name=name)
-    code = int(found.decisions.diverged.any() or found.state is Verdict.BLIND)
+    code = int(found.decisions.diverged.any() or found.state is Verdict.BLIND or read.misread)
     if chosen.json:
         kinds = [{"kind": e.kind} if found.process_hypotheses else {} for e in found.events]
         times = [{"start_time": found.clock.at(e.start), "end_time": found.clock.at(e.end)} for e in found.events]

@@ -8,9 +8,10 @@ import json
 import sys
 from functools import partial
 from pathlib import Path
+from textwrap import indent
 from typing import Any
 
-from fusion_sfdia.cli.options import names, printed_warnings, warn_of
+from fusion_sfdia.cli.options import names, printed_warnings
 
 OWN_FILES = ("monitor.txt", "methods.csv")
 
@@ -55,7 +56,7 @@ def _diagnose(chosen: argparse.Namespace, out: Path) -> int:
     sensors, inputs = signals_of(chosen.healthy[0], names(chosen.inputs), names(chosen.ignore), log_map)
     loaded = {path: load(path, sensors, inputs, log_map) for path in (*chosen.healthy, chosen.data)}
     for path, one in loaded.items():
-        warn_of(path, one.brief)
+        say(f"{path}:\n{indent(str(one), '  ')}")
     healthy, data = [loaded[path].log for path in chosen.healthy], loaded[chosen.data]
     count = sum(len(h.t) for h in healthy)
     say(f"learning from {count} healthy samples of {len(sensors)} sensors and {len(inputs)} inputs; this may take minutes ...")
@@ -77,4 +78,4 @@ def _diagnose(chosen: argparse.Namespace, out: Path) -> int:
     if chosen.json:
         entries = [dict(zip(header, row, strict=True)) for row in rows]
         print(json.dumps([{k: None if v != v else v for k, v in e.items()} for e in entries], indent=2))
-    return int(found.diagnosis.decisions.diverged.any())
+    return int(found.diagnosis.decisions.diverged.any() or any(one.misread for one in loaded.values()))

@@ -42,7 +42,9 @@ CALENDARS = {
     12: ("%Y%m%d%H%M", "%y%m%d%H%M%S", "%d%m%y%H%M%S"),
     14: ("%Y%m%d%H%M%S", "%d%m%Y%H%M%S", "%m%d%Y%H%M%S"),
 }
-NEAR = 50.0  # two steps within this factor of each other may be of one log
+NEAR, FAR = 50.0, 1e3  # two steps within these factors of each other may be of one log, and are worth a question
+SHORTEST, LONGEST = 1e-3, 86400.0  # s between the rows of a log of which nothing is known
+MOST = 3  # candidates that a finding names
 
 
 class Count(NamedTuple):
@@ -209,6 +211,28 @@ def recognised(values: Array, dt: float | None, latest: float) -> Count | Calend
         if dt is None and counted is None and 0 < step * one.unit <= 3600.0 and (absurd or not _is_round(values)):
             raise AmbiguousTimesError([shown_as(values, one), shown_as(values, Count("us", 1e-6) if absurd else plain)])
     return first
+
+
+def candidates(values: Array, taken: str, dt: float | None, latest: float) -> list[Count | Calendar]:
+    """What numbers (K,) may be that are taken as the count of that name, the likeliest first, at most MOST of them.
+
+    Those are counts whose steps are within FAR of dt, the nearest first, or without dt between SHORTEST and LONGEST; of counts
+    since a date those with dates that a log can have.
+    """
+    step = usual_step(values)
+    counts: list[Count | Calendar] = [*calendars(values, latest), *dated(values, latest)]
+    counts += [Count(name, unit) for name, unit in SECONDS.items()]
+
+    def away(c: Count | Calendar) -> float:
+        own = _calendar_step(values, c.name) if isinstance(c, Calendar) else step * c.unit
+        if not own:
+            return 0.0
+        if dt is not None:
+            return abs(float(np.log(own / dt)))
+        return 0.0 if SHORTEST <= own <= LONGEST else np.inf
+
+    others = [c for c in counts if c.name != taken and away(c) <= np.log(FAR)]
+    return sorted(others, key=lambda c: (round(away(c), 6), isinstance(c, Count) and c.since is None))[:MOST]
 
 
 def usual_step(values: Array) -> float:

@@ -11,9 +11,10 @@ from fusion_sfdia.logs.columns import Source
 
 # what changes or questions the readings; the other kinds describe the log
 REMARKABLE = (
-    "bad", "duplicates", "held", "input unit suspected", "inputs shifted", "left out", "masked", "no date", "nominal inputs",
-    "order", "quality", "unit suspected", "zone",
+    "bad", "duplicates", "future", "held", "input unit suspected", "inputs shifted", "left out", "masked", "no date",
+    "nominal inputs", "order", "quality", "time unit suspected", "unit suspected", "zone",
 )  # fmt: skip
+MISREAD = ("future", "time unit suspected")  # the times are not those of the log
 MOST_OF_A_KIND = 2
 
 
@@ -46,6 +47,11 @@ class LoadedLog(NamedTuple):
     def suspects(self) -> tuple[str, ...]:
         """The sensors whose unit is suspected wrong."""
         return tuple(f.name for f in self.findings if f.kind == "unit suspected" and f.name)
+
+    @property
+    def misread(self) -> bool:
+        """Whether the times are almost surely not what they were taken for, so that the log cannot be used as it was read."""
+        return any(f.kind in MISREAD for f in self.findings)
 
     @property
     def remarks(self) -> tuple[str, ...]:

@@ -65,14 +65,15 @@ ANY = Expected()
 class Times(NamedTuple):
     """Seconds t (K,), since the first stamp where the log has stamps; and where a row is in no order, as the log has it.
 
-    kind: how the times were written, in words. numbers (K,): as the log has them, None of texts. stated: whether the map or the
-    title says what they are. notes: findings on how they were read.
+    kind: how the times were written, in words. numbers (K,): as the log has them, None of texts. taken: as what count they were
+    read. stated: whether the map or the title says what they are. notes: findings on how they were read.
     """
 
     t: Array
     clock: Clock
     kind: str
     numbers: Array | None = None
+    taken: str = ""
     stated: bool = True
     notes: tuple[Finding, ...] = ()
 
@@ -253,11 +254,11 @@ def _of_numbers(
         stamps = calendar_stamps(values, count.name)
         assert stamps is not None
         found = _of_stamps(table, title, stamps, None, log_map, tags, f"digits of the calendar, {count.name}")
-        return found._replace(numbers=values, stated=False)
+        return found._replace(numbers=values, taken=count.name, stated=False)
     if count.since is None and (counted_ := unix(values, count.name)) is not None and given:
         count = counted_
     if count.since is None:
-        return Times(values * count.unit, Clock(), count.name, values, bool(given))
+        return Times(values * count.unit, Clock(), count.name, values, count.name, bool(given))
     seconds = count.seconds(values)
     outside = ~((seconds > -6.2e10) & (seconds < 2.5e11)) | ((values <= 0) & (count.name == EXCEL))
     if outside.any():
@@ -266,7 +267,7 @@ def _of_numbers(
         raise ValueError(f"{table.text(k)}, column {title}: {values[k]:g}; expected {form}")
     name = "days of Excel" if count.name == EXCEL else count.name
     found = _of_stamps(table, title, count.stamps(values), None if count.local else UTC, log_map, tags, name)
-    return found._replace(numbers=values, stated=bool(given))
+    return found._replace(numbers=values, taken=count.name, stated=bool(given))
 
 
 def _of_texts(table: Table, title: str, texts: list[str], log_map: LogMap, tags: Sequence[str] | None) -> Times:

@@ -12,8 +12,9 @@ from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.logs.columns import split_title
 from fusion_sfdia.logs.findings import LoadedLog
 from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap
-from fusion_sfdia.logs.reading import load_log
+from fusion_sfdia.logs.reading import read_log
 from fusion_sfdia.logs.tables import read_table
+from fusion_sfdia.logs.times import Expected
 
 
 def signals_of(
@@ -44,12 +45,11 @@ def signals_of(
 
 
 def load(source: Any, sensors: Sequence[Signal], inputs: Sequence[Signal] = (), log_map: LogMap = PLAIN_MAP) -> LoadedLog:
-    """Read a log of these columns, as `load_log` does; other columns are ignored. No step is expected, so none is doubted."""
+    """Read a log of these columns, as `load_log` does; other columns are ignored. No step is expected."""
     count = len(sensors)
     plant = linear_plant(
         "monitored plant", np.zeros((1, 1)), np.zeros((count, 1)),
         [Sensor(s.name, s.name, s.unit, sigma=1.0) for s in sensors],
         dt=1.0, x0=np.zeros(1), initial_cov=np.ones(1), process_cov=np.ones(1), inputs=inputs,
     )  # fmt: skip
-    found = load_log(source, plant, log_map, other_columns=True)
-    return found._replace(findings=tuple(f for f in found.findings if f.kind != "unit suspected"))
+    return read_log(source, plant, log_map, {"absent": False, "other": True, "nominal": False}, Expected(dt=None))

@@ -186,7 +186,12 @@ def test_the_overview(tmp_path: Path) -> None:
 
 def test_times_in_another_unit_are_suspected(tmp_path: Path) -> None:
     cells = [[1e3 * row[0], *row[1:]] for row in rows()]
-    assert "are the times in seconds?" in words(load(tmp_path, cells), "unit suspected")[0]
+    (text,) = words(found := load(tmp_path, cells), "time unit suspected")
+    assert found.misread and text in found.remarks
+    assert text.startswith(
+        "rows are 5000 s apart, the readings of plant 'two-tanks' 5 s: are the times in seconds? They may be "
+    )
+    assert 'format = "ms" (5 s after a start, rows 5 s apart)' in text
     assert load(tmp_path, cells, format="ms").log.t.tolist() == T.tolist()
 
 
