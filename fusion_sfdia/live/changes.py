@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.detector import Decision, Detector, stack
+from fusion_sfdia.core.verdicts import Conclusion, Verdict
 from fusion_sfdia.evaluation.events import Event, events_of
 from fusion_sfdia.evaluation.sensor_events import rivals_at
 
@@ -25,8 +26,9 @@ class Change(NamedTuple):
     where it is no longer, with the id of the opening; "named", where a second look at the last samples states the kind of fault
     and its size with an interval, or states them anew, with the id of the opening or, of a sensor that is silent or frozen
     and not isolated, a new one; "health", where the verdict on the model has changed, with the line of `diagnose` as reason;
-    "reset", where the detector has started anew, for the stated reason. event: as `diagnose` has it, with the size at that
-    time, when it opens with confidence and alternatives; None for a reset and health.
+    "reset", where the detector has started anew, for the stated reason; "blind", where nothing can be judged, for the stated
+    reason, and "sees again", where that is over, with the id of "blind". event: as `diagnose` has it, with the size at that
+    time, when it opens with confidence and alternatives; None for a reset, health and sight.
     """
 
     id: int
@@ -45,6 +47,16 @@ class Standing(NamedTuple):
     missed: int
 
 
+class Sight(NamedTuple):
+    """Whether rows are judged. id, since: of the change "blind" with its time (s), 0 where they are judged; other: samples in a
+    row that differ from that.
+    """
+
+    id: int = 0
+    since: float = 0.0
+    other: int = 0
+
+
 @dataclass
 class Changes:
     """The events that stand after a row, and the last KEPT samples.
@@ -58,6 +70,23 @@ class Changes:
     count: int = 0  # ids given so far
     standing: dict[int, Standing] = field(default_factory=dict)
     recent: deque[tuple[float, Decision]] = field(default_factory=lambda: deque(maxlen=KEPT))
+    sight: Sight = field(default_factory=Sight)
+
+    def seen(self, t: float, conclusion: Conclusion, *, at_once: bool) -> list[Change]:
+        """Change "blind" after `gap` samples in a row without a verdict, or at_once, "sees again" after as many with one."""
+        blind, (number, since, other) = conclusion.verdict is Verdict.BLIND, self.sight
+        if blind == bool(number):
+            self.sight = Sight(number, since, 0)
+            return []
+        self.sight = Sight(number, since, other + 1)
+        if other + 1 < self.gap and not (blind and at_once):
+            return []
+        if blind:
+            self.count += 1
+            self.sight = Sight(self.count, t)
+            return [Change(self.count, "blind", t, reason=conclusion.reason)]
+        self.sight = Sight()
+        return [Change(number, "sees again", t, reason=f"rows are judged again; the verdict is {conclusion.text}")]
 
     def after(self, t: float, decision: Decision) -> list[Change]:
         """What the decision of the row at t changes: first what closes, then what opens."""
@@ -109,7 +138,7 @@ class Changes:
     def arrays(self) -> dict[str, Array]:
         """What `restored` takes up again, as arrays."""
         rows = [(i, *event) for i, event in self.standing.items()]
-        found = {"count": np.array(self.count), "standing": np.array(rows, float).reshape(-1, 5)}
+        found = {"count": np.array(self.count), "standing": np.array(rows, float).reshape(-1, 5), "sight": np.array(self.sight)}
         if self.recent:
             times, decisions = zip(*self.recent, strict=True)
             kept = {f"recent.{name}": value for name, value in vars(stack(list(decisions))).items() if value is not None}
@@ -120,6 +149,8 @@ class Changes:
     def restored(cls, detector: Detector, gap: int, arrays: dict[str, Array]) -> Changes:
         """The same with which `arrays` was called."""
         found = cls(detector, gap, int(arrays["count"]))
+        number, since, other = arrays["sight"].tolist()
+        found.sight = Sight(int(number), since, int(other))
         for i, number, start, last, missed in arrays["standing"].tolist():
             found.standing[int(i)] = Standing(int(number), start, last, int(missed))
         named = {f.name: arrays[f"recent.{f.name}"] for f in fields(Decision) if f"recent.{f.name}" in arrays}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import Decision, Detector
+from fusion_sfdia.core.model_errors import described
+from fusion_sfdia.core.verdicts import Conclusion
 from fusion_sfdia.evaluation.events import Event
 from fusion_sfdia.live.changes import Change, Changes
 from fusion_sfdia.live.look_state import look_arrays, restored_look
@@ -22,8 +24,8 @@ Array = NDArray[Any]
 class Findings:
     """The first look, `Changes`, and where kinds are named the second, `SecondLook`, with ids in common."""
 
-    def __init__(self, detector: Detector, gap: int, kinds: bool) -> None:
-        self.detector = detector
+    def __init__(self, detector: Detector, gap: int, kinds: bool, refused: Callable[[str], None]) -> None:
+        self.detector, self.refused = detector, refused
         self.changes = Changes(detector, gap)
         self.look = SecondLook(detector, gap) if kinds else None
 
@@ -36,17 +38,26 @@ class Findings:
         if decision.absurd_input.shape == u.shape and decision.absurd_input.any():
             u = np.where(decision.absurd_input, self.detector.plant.input_at(seen.t), u)
         y = np.where(decision.absurd, np.nan, seen.y)
-        self.look.take(seen._replace(y=y, u=u, decision=self.changes.recent[-1][1]))
-        if any(c.what in ("opened", "closed") for c in now):
-            self.look.happened([c.id for c in now if c.what == "closed"])
         opened = [(c.id, c.event) for c in now if c.what == "opened" and c.event]
-        return [*now, *self._told(seen.t, *self.look.changes(opened, clock, self.changes.count + 1))]
+        try:
+            self.look.take(seen._replace(y=y, u=u, decision=self.changes.recent[-1][1]))
+            if any(c.what in ("opened", "closed") for c in now):
+                self.look.happened([c.id for c in now if c.what == "closed"])
+            return [*now, *self._told(seen.t, *self.look.changes(opened, clock, self.changes.count + 1))]
+        except Exception as error:  # of the model, which may raise anything
+            self.look = self.look.anew()
+            self.refused(f"row at {clock.at(seen.t)}: kinds of faults are named from the next row on: {described(error)}")
+            return now
+
+    def sight(self, t: float, conclusion: Conclusion, *, at_once: bool) -> list[Change]:
+        """Whether rows are no longer judged, or again, see `Changes.seen`."""
+        return self.changes.seen(t, conclusion, at_once=at_once)
 
     def reset(self, t: float, reason: str, clock: Clock) -> list[Change]:
         """Close all that stands, with what the second look says of it, and forget the samples."""
         found: list[Change] = []
         if self.look is not None:
-            events, health = self.look.final(clock, self.changes.count + 1)
+            events, health = self._final(self.look, clock)
             found = self._told(t, [(number, replace(e, open=False)) for number, e in events], health)
             self.look = self.look.anew()
         return [*found, *self.changes.reset(t, reason)]
@@ -56,9 +67,16 @@ class Findings:
         if self.look is None:
             return []
         count = self.changes.count
-        found = self._told(t, *self.look.final(clock, count + 1))
+        found = self._told(t, *self._final(self.look, clock))
         self.changes.count = count
         return found
+
+    def _final(self, look: SecondLook, clock: Clock) -> tuple[list[tuple[int, Event]], str]:
+        """What the second look knows by now; nothing where the model, which may raise anything, fails again."""
+        try:
+            return look.final(clock, self.changes.count + 1)
+        except Exception:
+            return [], ""
 
     def _told(self, t: float, events: Sequence[tuple[int, Event]], health: str) -> list[Change]:
         self.changes.count = max([self.changes.count, *(number for number, _ in events)])

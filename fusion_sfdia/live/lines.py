@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict
 from typing import Any
 
@@ -10,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.clock import Clock
-from fusion_sfdia.core.detector import Decision
+from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.verdicts import Verdict, far_off
 from fusion_sfdia.live.changes import Change
 from fusion_sfdia.live.watch import Sample
 
@@ -30,10 +33,16 @@ def change_line(change: Change, clock: Clock) -> str:
 
 
 def sample_line(sample: Sample, plant: Plant, hypotheses: tuple[str, ...], clock: Clock) -> str:
-    """{"event": "sample", "t": 30.0, "score": 0.7, "alarm": false, "isolated": [], "values": {...}, "sigma": {...}}."""
-    d = sample.decision
+    """{"event": "sample", "t": 30.0, "verdict": "healthy", "score": 0.7, "alarm": false, "isolated": [], "values": {...}, ...}.
+
+    Of a row that was not judged score and alarm are null, and a reason is stated.
+    """
+    d, concluded = sample.decision, sample.conclusion
     value, sigma = validated(plant, sample)
-    found = {"event": "sample", **_when(sample.t, clock), "score": float(d.score), "alarm": bool(d.alarm)}
+    blind = concluded.verdict is Verdict.BLIND
+    found = {"event": "sample", **_when(sample.t, clock), "verdict": str(concluded.verdict)}
+    found |= {"reason": concluded.reason} if concluded.reason else {}
+    found |= {"score": None if blind else float(d.score), "alarm": alarm(sample)}
     flags = {name: bool(np.any(getattr(d, name))) for name in ("diverged", "guarded", "capped")}
     found |= {"isolated": [hypotheses[i] for i in np.flatnonzero(d.isolated)], **flags}
     for what, numbers in (("values", value), ("sigma", sigma)):
@@ -41,32 +50,82 @@ def sample_line(sample: Sample, plant: Plant, hypotheses: tuple[str, ...], clock
     return _json(found)
 
 
+def alarm(sample: Sample) -> bool | None:
+    """Whether a row is in alarm; None where that is not known: not judged, or "cannot tell" while no residual is in alarm."""
+    verdict = sample.verdict
+    if verdict in (Verdict.HEALTHY, Verdict.SENSOR, Verdict.PROCESS):
+        return verdict is not Verdict.HEALTHY
+    return True if verdict is not Verdict.BLIND and sample.decision.alarm else None
+
+
+def verdict_text(detector: Detector, sample: Sample) -> str:
+    """The verdict on a row in a line: "l1, q2", "none isolated", "process", "cannot tell: ...", "no verdict: ..."."""
+    d, concluded = sample.decision, sample.conclusion
+    isolated = ", ".join(h for h, i in zip(detector.hypotheses, d.isolated, strict=True) if i)
+    if concluded.verdict is Verdict.HEALTHY:
+        return "none isolated"
+    if concluded.verdict is Verdict.BLIND:
+        return f"{concluded.text}; isolated before: {isolated}" if isolated else concluded.text
+    tested = () if d.process is None else zip(getattr(detector, "process_hypotheses", ()), d.process, strict=True)
+    process = ", ".join(h.name for h, i in tested if i)
+    parts = [f"process or model: {process}" if process else "", concluded.text if concluded.reason else "", isolated]
+    return "; ".join(part for part in parts if part)
+
+
+def results(detector: Detector, sample: Sample, write: Mapping[str, Any]) -> list[tuple[str, float | str | bool | None]]:
+    """The addresses in the table `write` of a bridge, each with what belongs there of a sample; NaN for a number that is not
+    known, None for an alarm of which that is so.
+
+    write: of some sensors {"value", "sigma", "verdict": address}, and the addresses "verdict" and "alarm" of the whole.
+    """
+    plant = detector.plant
+    value, sigma = validated(plant, sample)
+    verdicts = sensor_verdicts(plant, sample)
+    whole: dict[str, Any] = {"alarm": alarm(sample), "verdict": verdict_text(detector, sample)}
+    found: list[tuple[str, float | str | bool | None]] = []
+    for name, where in write.items():
+        if isinstance(where, str):
+            found.append((where, whole[name]))
+        else:
+            i = plant.sensor_index(name)
+            of_sensor: dict[str, Any] = {"value": float(value[i]), "sigma": float(sigma[i]), "verdict": verdicts[i]}
+            found += [(address, of_sensor[what]) for what, address in where.items()]
+    return found
+
+
 def validated(plant: Plant, sample: Sample) -> tuple[Array, Array]:
     """The validated readings (N,) and their standard deviations (N,), in sensor units.
 
     A reading that is used is itself, with the noise of its sensor; one that is missing or isolated is what the method expects,
-    with sigma^2 = H P H' of the estimate, NaN where the method has no covariance P.
+    with sigma^2 = H P H' of the estimate, NaN where the method has no covariance P, or the model no Jacobian H there.
     """
     d = sample.decision
     replaced = np.isnan(sample.y) | (d.reconstruction != sample.y)
     sigma = plant.sensor_sigma
     if replaced.any():
         expected = np.full_like(sigma, np.nan)
-        if d.covariance is not None:
-            h = plant.output_jacobian_at(sample.t, d.estimate, sample.u)
-            expected = np.sqrt(np.maximum(np.sum((h @ d.covariance) * h, axis=-1), 0.0))
+        if d.covariance is not None and np.all(np.isfinite(d.estimate)):
+            with suppress(Exception), np.errstate(all="ignore"):  # of the model, which may raise anything
+                h = plant.output_jacobian_at(sample.t, d.estimate, sample.u)
+                expected = np.sqrt(np.maximum(np.sum((h @ d.covariance) * h, axis=-1), 0.0))
         sigma = np.where(replaced, expected, sigma)
     return d.reconstruction, np.where(np.isfinite(d.reconstruction), sigma, np.nan)
 
 
-def sensor_verdicts(plant: Plant, y: Array, d: Decision) -> list[str]:
-    """Of each sensor "isolated", "suspected", "missing" or "healthy"; "no verdict" where the estimate has diverged."""
-    count = len(plant.sensors)
+def sensor_verdicts(plant: Plant, sample: Sample) -> list[str]:
+    """Of each sensor "isolated", "suspected", "missing" or "healthy"; "no verdict" of one that was not judged, and of those not
+    isolated where all are far from the model or more disagree with it than can be isolated.
+    """
+    d, count = sample.decision, len(plant.sensors)
     suspect = np.zeros(count, bool) if d.suspect is None else d.suspect[:count]
-    found = np.where(np.isnan(y), "missing", "healthy")
+    blind = sample.verdict is Verdict.BLIND
+    unsure = blind or bool(far_off(d)) or bool(np.any(d.capped))
+    known = np.isfinite(d.residual) & ~np.isnan(d.threshold)
+    found = np.where(known & (not unsure), "healthy", "no verdict")
     found = np.where(suspect, "suspected", found)
+    found = np.where(np.isnan(sample.y), "missing", found)
     found = np.where(d.isolated[:count], "isolated", found)
-    return list(map(str, np.where(d.diverged, "no verdict", found)))
+    return list(map(str, np.where(np.isnan(sample.y), "missing", "no verdict") if blind else found))
 
 
 def _when(t: float, clock: Clock) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
 from fusion_sfdia.core.detector import MissingPackageError
+from fusion_sfdia.live.lines import results
 from fusion_sfdia.live.saving import SavedWatch
 from fusion_sfdia.live.topics import Topics
 from fusion_sfdia.live.values import Value, Values
@@ -120,11 +121,13 @@ class Bridge:
                     self._publish(sample)
 
     def _publish(self, sample: Sample) -> None:
-        """{"value": 1.2, "time": "2026-03-01 14:00:00+00:00"}, which stays with the broker for those that come later."""
+        """{"value": 1.2, "time": "2026-03-01 14:00:00+00:00"}, which stays with the broker for those that come later; a value
+        that is not known is null.
+        """
         if not self.client.is_connected():
             return
         time = self.saved.watch.clock.at(sample.t)
-        for topic, value in self.rows.values.results(sample, self.topics.write):
+        for topic, value in results(self.saved.watch.detector, sample, self.topics.write):
             known = None if value != value else value
             self.client.publish(topic, json.dumps({"value": known, "time": time}), self.topics.qos, retain=True)
 

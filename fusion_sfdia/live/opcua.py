@@ -11,6 +11,7 @@ import numpy as np
 
 from fusion_sfdia.core.detector import MissingPackageError
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.live.lines import results
 from fusion_sfdia.live.nodes import Nodes
 from fusion_sfdia.live.saving import SavedWatch
 from fusion_sfdia.live.values import Value, Values, real
@@ -102,14 +103,20 @@ class Bridge:
         return status is None or status.is_good() or (self.nodes.uncertain == "use" and status.is_uncertain())
 
     async def _write(self, client: Any, sample: Sample) -> None:
-        """Write what is asked for of a sample; nodes that refuse it are reported."""
-        found = self.values.results(sample, self.nodes.write)
+        """Write what is asked for of a sample; nodes that refuse it are reported. What is not known is of bad quality."""
+        found = results(self.saved.watch.detector, sample, self.nodes.write)
         if not found:
             return
-        ids, data = [node for node, _ in found], [self.ua.DataValue(self.ua.Variant(v)) for _, v in found]
+        ids, data = [node for node, _ in found], [self._written(value) for _, value in found]
         for node, status in zip(ids, await client.uaclient.write_attributes(list(map(self._id, ids)), data), strict=True):
             if not status.is_good():
                 self.saved.watch.refused(f"node {node} does not take its value: {status.name}")
+
+    def _written(self, value: float | str | bool | None) -> Any:
+        """A data value, of bad quality where it is not known (NaN, or None of an alarm), and then with a value of its type."""
+        known = value is not None and value == value
+        status = self.ua.StatusCodes.Good if known else self.ua.StatusCodes.BadNoData
+        return self.ua.DataValue(self.ua.Variant(False if value is None else value), self.ua.StatusCode(status))
 
 
 async def connected(url: str, nodes: Nodes) -> Any:

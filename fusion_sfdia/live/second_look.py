@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import Decision, Detector, stack
+from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.absent import DUE, REPEATED, repeats
 from fusion_sfdia.evaluation.diagnose import against_the_model
 from fusion_sfdia.evaluation.events import Event, events_of, spans
@@ -119,7 +120,8 @@ class SecondLook:
         out = seen.out | seen.decision.isolated[:n]
         for later in islice(self.ahead, LEAD):
             out = out | later.decision.isolated[:n]
-        model = getattr(self.detector, "model", self.detector.plant)
+        model = getattr(self.detector, "model", None)  # of principal components it is no plant
+        model = model if isinstance(model, Plant) else self.detector.plant
         if np.isfinite(seen.begins):
             self.core, self.before = begun(model), seen.begins
         found: Hindsight | None = None

@@ -1,4 +1,4 @@
-"""Between values of a bridge, each with its own time stamp, and a watch: rows from values, and results for their addresses."""
+"""Between values of a bridge, each with its own time stamp, and a watch: rows from values."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.live.lines import sensor_verdicts, validated
-from fusion_sfdia.live.watch import Sample, Watch
+from fusion_sfdia.live.watch import Watch
 
 Array = NDArray[Any]
 
@@ -57,22 +56,6 @@ class Values:
         if not self.plant.numerics.fixed_dt:
             return stamp
         return start + timedelta(seconds=round((stamp - start).total_seconds() / dt) * dt)
-
-    def results(self, sample: Sample, write: Mapping[str, Any]) -> list[tuple[str, float | str | bool]]:
-        """The addresses in the table `write`, each with what belongs there of a sample."""
-        value, sigma = validated(self.plant, sample)
-        verdicts = sensor_verdicts(self.plant, sample.y, sample.decision)
-        isolated = [h for h, i in zip(self.watch.detector.hypotheses, sample.decision.isolated, strict=True) if i]
-        whole: dict[str, Any] = {"alarm": bool(sample.decision.alarm), "verdict": ", ".join(isolated) or "none isolated"}
-        found: list[tuple[str, float | str | bool]] = []
-        for name, where in write.items():
-            if isinstance(where, str):
-                found.append((where, whole[name]))
-            else:
-                i = self.plant.sensor_index(name)
-                of_sensor: dict[str, Any] = {"value": float(value[i]), "sigma": float(sigma[i]), "verdict": verdicts[i]}
-                found += [(address, of_sensor[what]) for what, address in where.items()]
-        return found
 
 
 def real(value: Any) -> float:

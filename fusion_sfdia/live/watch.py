@@ -15,8 +15,10 @@ from fusion_sfdia.core.arguments import floats, number, whole
 from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import Decision, Detector
 from fusion_sfdia.core.gaps import MOST_BRIDGES, lead_in, longest_step, steps_over
+from fusion_sfdia.core.model_errors import ModelError, described, require_model
 from fusion_sfdia.core.state import State
 from fusion_sfdia.core.storage import read_arrays, require_detector, state_arrays, state_of, write_arrays
+from fusion_sfdia.core.verdicts import Conclusion, Verdict, conclusion_of
 from fusion_sfdia.live.changes import KEPT, Change
 from fusion_sfdia.live.findings import Findings
 from fusion_sfdia.live.order import InOrder, Row
@@ -30,13 +32,27 @@ class WatchWarning(UserWarning):
 
 
 class Sample(NamedTuple):
-    """A row that was diagnosed, with the inputs used, its Decision, and what it changes."""
+    """A row that was taken, with the inputs used, its Decision, and what it changes.
+
+    failure: what the model did wrong, "" where it works; every number of the Decision is NaN then.
+    """
 
     t: float
     y: Array
     u: Array
     decision: Decision
     changes: tuple[Change, ...]
+    failure: str = ""
+
+    @property
+    def conclusion(self) -> Conclusion:
+        """The verdict on this row with its reason; `Verdict.BLIND` where nothing was judged."""
+        return Conclusion(Verdict.BLIND, self.failure) if self.failure else conclusion_of(self.decision, self.y)
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict on this row."""
+        return self.conclusion.verdict
 
 
 def _warn(remark: str) -> None:
@@ -65,7 +81,12 @@ class Watch:
       least dt, waits until three rows, itself among them, have times from its own on; rows that go on as before are diagnosed
       meanwhile, and show that its clock was wrong: it is not taken. After a pause of more than longest_gap the detector starts
       anew, a "reset", and what stood is closed.
-    - Where the estimate diverges, the detector starts anew with the next row, a "reset".
+    - Where the estimate diverges, or the model raises an error or gives anything but numbers, the detector starts anew with the
+      next row, a "reset".
+
+    Where nothing can be judged, for want of readings or of a model that gives numbers, the verdict of a sample is "blind". A
+    change "blind" states the reason, at once where the model fails, after `gap` samples where readings are missing; a change
+    "sees again" follows after `gap` samples that were judged.
     """
 
     def __init__(
@@ -92,7 +113,7 @@ class Watch:
                 raise ValueError(f"{what} is {seconds}; expected a finite number of seconds, at least 0")
         if not whole("gap", gap, least=1) < KEPT:
             raise ValueError(f"gap is {gap} samples; expected fewer than the {KEPT} that are kept")
-        self.findings = Findings(detector, int(gap), kinds)
+        self.findings = Findings(detector, int(gap), kinds, refused)
         self.clock = Clock()
         self.state: State | None = None
         self.t: float | None = None  # of the last row diagnosed, in s; after `load`, rows after it are to be given again
@@ -100,6 +121,8 @@ class Watch:
         self.limits = tuple(np.array([getattr(s, which) for s in detector.plant.inputs]) for which in ("low", "high"))
         self.known_at = np.full(len(detector.plant.inputs), -np.inf)  # time of the last value of each input
         self.lost = False  # whether the estimate of the last row had diverged
+        self.failing: type[Exception] | None = None  # the error of the model in the last row
+        self.x = detector.plant.x0  # the last estimate
         self.order = InOrder(number("reorder", reorder), self.longest_gap, refused, keep_last, detector.plant.dt)
 
     def events(self, rows: Iterable[tuple[float | datetime, Any, Any]]) -> Iterator[Change]:
@@ -151,32 +174,85 @@ class Watch:
 
     def _diagnosed(self, row: Row, ahead: float = np.inf) -> tuple[Sample, ...]:
         """Step to a row; ahead: seconds from it to the next one, where that is known."""
-        plant, state = self.detector.plant, self.state
         pause = np.inf if self.t is None else row.t - self.t
         too_long = self.t is not None and pause > self.longest_gap
+        fresh = self.state is None or too_long
+        begins = row.t - lead_in(self.detector.plant, min(pause, ahead)) if fresh else np.nan
         try:
+            if not fresh:
+                self._require_step(row.t)
             given, known_at = self._inputs(row)
-            u = self.given if self.at_sample and self.t is not None else given
-            fresh, none, steps = state is None or too_long, np.zeros(len(plant.sensors), bool), []
-            lead = lead_in(plant, min(pause, ahead))
-            if state is None or too_long:
-                state = self.detector.init((), row.t - lead)
-            elif self.t is not None:
-                steps = steps_over(plant, self.longest_step, (self.t, self.u), (row.t, u))
-                for t, between in steps:
-                    state, _ = self.detector.step(state, t, np.full(len(plant.sensors), np.nan), between)
-            state, decision = self.detector.step(state, row.t, row.y, u)
-        except (ValueError, ArithmeticError) as error:
+        except ValueError as error:
             self.refused(f"row at {self.clock.at(row.t)}: {error}; it is not taken")
             return ()
+        u = self.given if self.at_sample and self.t is not None else given
         changes = self.findings.reset(row.t, f"no rows for {pause:g} s", self.clock) if too_long else []
-        seen = Seen(row.t, row.y, u, decision, row.t - lead if fresh else np.nan, tuple(steps), none)
-        changes += self.findings.after(seen, decision, self.clock)
-        if (lost := bool(decision.diverged)) and not self.lost:
-            changes += self.findings.reset(row.t, "the estimate diverged", self.clock)
-        self.state, self.lost, self.t = None if lost else state, lost, row.t
+        try:
+            state, decision, steps = self._stepped(row, u, begins)
+            failing, failure = None, ""
+        except Exception as error:  # of the model, which may raise anything
+            state, decision, steps = None, self._no_decision(), []
+            failing, failure = type(error), f"the model failed: {described(error)}"
+        if failing is not None:
+            changes += self._failed(row.t, failure) if failing is not self.failing else []
+        else:
+            seen = Seen(row.t, row.y, u, decision, begins, tuple(steps), np.zeros(len(self.detector.plant.sensors), bool))
+            changes += self.findings.after(seen, decision, self.clock)
+            if decision.diverged and not self.lost:
+                changes += self.findings.reset(row.t, "the estimate diverged", self.clock)
+        sample = Sample(row.t, row.y, u, decision, (), failure)
+        changes += self.findings.sight(row.t, sample.conclusion, at_once=bool(decision.diverged))
+        self.lost, self.failing, self.t = bool(decision.diverged), failing, row.t
+        self.state = None if self.lost else state
+        if np.all(np.isfinite(decision.estimate)) and decision.estimate.shape == self.x.shape:
+            self.x = decision.estimate
         self.u, self.given, self.known_at = u, given, known_at
-        return (Sample(row.t, row.y, u, decision, tuple(changes)),)
+        return (sample._replace(changes=tuple(changes)),)
+
+    def _stepped(self, row: Row, u: Array, begins: float) -> tuple[State, Decision, list[tuple[float, Array]]]:
+        """The state and the Decision after a row, and times and inputs of the steps before it; any error of the model.
+
+        begins: the time at which the detector starts anew, NaN where it goes on.
+        """
+        plant, state, steps = self.detector.plant, self.state, []
+        require_model(plant, row.t - plant.dt, row.t, self.x, u)
+        if np.isfinite(begins) or state is None:
+            state = self.detector.init((), begins)
+        elif self.t is not None:
+            steps = steps_over(plant, self.longest_step, (self.t, self.u), (row.t, u))
+            for t, between in steps:
+                state, _ = self.detector.step(state, t, np.full(len(plant.sensors), np.nan), between)
+        state, decision = self.detector.step(state, row.t, row.y, u)
+        if np.iscomplexobj(decision.residual) or np.iscomplexobj(decision.estimate):
+            raise ModelError("it gives complex numbers")
+        return state, decision, steps
+
+    def _require_step(self, t: float) -> None:
+        """Raise ValueError where a plant that holds for steps of one length cannot reach t from the last row."""
+        plant = self.detector.plant
+        if self.t is not None and plant.numerics.fixed_dt:
+            plant.check_dt((t - self.t) / max(1, round((t - self.t) / plant.dt)))
+
+    def _failed(self, t: float, failure: str) -> list[Change]:
+        """What changes with the first, at t, of rows for which the model fails with one kind of error: a remark and a reset."""
+        self.refused(f"row at {self.clock.at(t)}: {failure}; there is no verdict until the model works again")
+        return self.findings.reset(t, failure, self.clock)
+
+    def _no_decision(self) -> Decision:
+        """A Decision of which every number is NaN."""
+        plant, false = self.detector.plant, np.zeros((), bool)
+        of_sensors, count = np.full(len(plant.sensors), np.nan), len(self.detector.hypotheses)
+        return Decision(
+            estimate=np.full(len(plant.states), np.nan),
+            reconstruction=of_sensors,
+            residual=of_sensors,
+            threshold=of_sensors,
+            isolated=np.zeros(count, bool),
+            fault_size=np.full(count, np.nan),
+            diverged=np.ones((), bool),
+            guarded=false,
+            nis=np.array(np.nan),
+        )
 
     def _inputs(self, row: Row) -> tuple[Array, Array]:
         """The inputs of a row, those that are missing or beyond their limits held, or the plant's usual ones, and the time of

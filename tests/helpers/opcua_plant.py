@@ -1,7 +1,7 @@
 """An OPC UA server with the two tanks, as a process: `python opcua_plant.py PORT ROWS.npz FIRST`.
 
 Each request that reads the first node moves on by one row, from row FIRST on; the last row stays. It prints "ready" when it
-takes connections, and at the end of its input what was written to it last.
+takes connections, and at the end of its input what was written to it last, null where its quality is bad.
 """
 
 from __future__ import annotations
@@ -53,7 +53,10 @@ async def serve(port: int, path: str, first: int) -> None:
     async with server:
         print("ready", flush=True)
         await asyncio.get_running_loop().run_in_executor(None, sys.stdin.read)  # until the test closes it
-        written = {name: await server.get_node(ua.NodeId(name, space)).read_value() for name in OUTPUTS}
+        written = {}
+        for name in OUTPUTS:
+            last = await server.get_node(ua.NodeId(name, space)).read_data_value(raise_on_bad_status=False)
+            written[name] = last.Value.Value if last.StatusCode.is_good() else None
         print(json.dumps(written), flush=True)
 
 

@@ -148,6 +148,30 @@ def test_nodes_are_rows_and_a_server_that_is_killed_and_comes_back_is_a_gap(tmp_
     assert "no connection" in remarks[0] and remarks[1].endswith("connected again") and len(remarks) == 2
 
 
+@pytest.mark.slow
+def test_without_readings_the_verdict_is_no_verdict_and_numbers_are_of_bad_quality(tmp_path: Path) -> None:
+    rows, server = recorded(tmp_path / "rows.npz", 30), Server(tmp_path / "rows.npz")
+    with np.load(tmp_path / "rows.npz") as file:
+        known = dict(file)
+    known["quality"][24:, :4] = 2
+    np.savez(tmp_path / "rows.npz", **known)
+    server.start(0)
+
+    def at(sample: dict[str, Any]) -> None:
+        verdicts.append(sample["verdict"])
+        if sample["t"] == rows[-1][0]:
+            raise EndedError
+
+    verdicts: list[str] = []
+    found = watched(server, tmp_path, at, [])
+    written = server.end()
+    assert verdicts[22:] == ["sensor", "sensor", *["blind"] * 6] and "blind" in [e["event"] for e in found]
+    assert (
+        written["verdict"] == "no verdict: no sensor has a reading; isolated before: l1" and written["l1.verdict"] == "missing"
+    )
+    assert written["alarm"] is None and written["l1.sigma"] is not None
+
+
 def test_times_of_a_plant_of_fixed_steps_are_put_on_its_grid(tmp_path: Path) -> None:
     (tmp_path / "nodes.toml").write_text(NODES)
     plant = changed(tanks(), fixed_dt=True)
