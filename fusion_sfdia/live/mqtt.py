@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from importlib import import_module
 from queue import Empty, Full, Queue
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
+import numpy as np
+
 from fusion_sfdia.core.detector import MissingPackageError
 from fusion_sfdia.live.lines import results
 from fusion_sfdia.live.saving import SavedWatch
+from fusion_sfdia.live.tables import units_of
 from fusion_sfdia.live.topics import Topics
 from fusion_sfdia.live.values import Value, Values
 from fusion_sfdia.live.watch import Sample
@@ -72,15 +75,28 @@ def watch_broker(saved: SavedWatch, url: str, topics: Topics) -> None:
 class Bridge:
     """Between the topics of a broker and a watch. The callbacks run in the thread of the client, all else in the caller's."""
 
-    def __init__(self, saved: SavedWatch, url: str, topics: Topics) -> None:
+    def __init__(
+        self, saved: SavedWatch, url: str, topics: Topics, now: Callable[[], datetime] = lambda: datetime.now(UTC)
+    ) -> None:
         mqtt = paho()
         _, _, tls = address(url)
-        self.saved, self.url, self.topics = saved, url, topics
+        self.saved, self.url, self.topics, self.now = saved, url, topics, now
+        self.sources = sources = topics.sources
+        plant = saved.watch.detector.plant
         self.by_topic: dict[str, list[str]] = {}
-        for name, source in topics.sources.items():
+        for name, source in sources.items():
             self.by_topic.setdefault(source.topic, []).append(name)
-        dt = saved.watch.detector.plant.dt
-        self.rows = Rows(Values(saved.watch, topics.stale), len(topics.read), topics.together or dt / 2)
+        self.readers = {name: topics.reader(name, unit) for name, unit in units_of(plant).items() if name in sources}
+        together = topics.together or plant.dt / 2
+        values = Values(
+            saved.watch,
+            topics.stale,
+            topics.max_lead,
+            topics.max_lag,
+            together=together,
+            sources={name: source.topic for name, source in sources.items()},
+        )
+        self.rows = Rows(values, len(topics.read), together)
         self.queue: Queue[Message] = Queue(QUEUED)
         self.remarks: Queue[str] = Queue(100)
         self.lost, self.is_up = 0, True
@@ -115,7 +131,9 @@ class Bridge:
     def take(self, message: Message) -> None:
         """Read a message, diagnose the rows that it completes, and publish what is asked for."""
         for name in self.by_topic.get(message.topic, ()):
-            value = self.topics.value(self.topics.sources[name], message.payload, message.arrived)
+            value = self.topics.value(self.sources[name], message.payload, message.arrived, self.readers[name])
+            if message.arrived is None:
+                value = value._replace(arrived=self.now(), retained=True)
             for row in self.rows.take(name, value):
                 for sample in self.saved.take(*row):
                     self._publish(sample)
@@ -156,7 +174,7 @@ class Bridge:
             self.remarks.put(text)
 
     def _message(self, client: Any, userdata: Any, message: Any) -> None:
-        found = Message(message.topic, message.payload, None if message.retain else datetime.now(UTC))
+        found = Message(message.topic, message.payload, None if message.retain else self.now())
         while True:
             try:
                 return self.queue.put_nowait(found)
@@ -172,7 +190,8 @@ class Rows:
     """Rows from values that arrive one after another.
 
     A row has the values whose stamps are within `together` s of its first one. It is complete when each of the `count` names
-    has one, or when a value with a later stamp comes; a name without one keeps its last value, unless that is stale.
+    has one, or when a value with a later stamp comes; a name without one keeps its last value, unless that is stale. A value
+    without a time belongs to the row of its arrival, one that is dropped for its time is missing in it.
     """
 
     def __init__(self, values: Values, count: int, together: float) -> None:
@@ -182,22 +201,39 @@ class Rows:
         self.first: datetime | None = None  # stamp of the row that is not complete
 
     def take(self, name: str, value: Value) -> Iterator[tuple[datetime, Any, Any]]:
-        """The rows that a value completes, none, one or two; a value without a stamp, or before the last one, is dropped."""
-        before = self.latest.get(name)
-        if value.stamp is None or (before is not None and before.stamp is not None and value.stamp <= before.stamp):
+        """The rows that a value completes, none, one or two; a repeated value is dropped."""
+        if (counts := self.values.checked(name, value)) is None or counts.stamp is None:
             return
-        if self.first is not None and (value.stamp - self.first).total_seconds() > self.together:
+        value, stamp = counts, counts.stamp
+        before = self.latest.get(name)
+        if before is not None and before.stamp is not None and stamp <= before.stamp:
+            if (before.stamp - stamp).total_seconds() > self.together and name not in self.fresh:
+                self.latest[name] = before._replace(number=np.nan)  # its clock was set back: it has no reading of this row
+            return
+        if value.has_time and self.values.newest is None and self.first is not None:
+            self._shift(stamp)
+        if self.first is not None and (stamp - self.first).total_seconds() > self.together:
             yield from self._complete()
         self.latest[name] = value
-        if self.first is None and (self.values.newest is None or value.stamp > self.values.newest):
-            self.first = value.stamp
-        if self.first is not None and (self.first - value.stamp).total_seconds() <= self.together:
+        if self.first is None and (self.values.newest is None or stamp > self.values.newest):
+            self.first = stamp
+        if self.first is not None and (self.first - stamp).total_seconds() <= self.together:
             self.fresh.add(name)
             if len(self.fresh) == self.count:
                 yield from self._complete()
 
+    def _shift(self, stamp: datetime) -> None:
+        """Put the first row, of values without a time so far, on the clocks of the sources, with their first stamp."""
+        if any(self.latest[name].has_time for name in self.fresh):
+            return
+        for name in self.fresh:
+            value = self.latest[name]
+            if value.arrived is not None:
+                self.latest[name] = value._replace(stamp=self.values.clocks.of_arrival(value.arrived))
+        self.first = min((v.stamp for name in self.fresh if (v := self.latest[name]).stamp), default=stamp)
+
     def _complete(self) -> Iterator[tuple[datetime, Any, Any]]:
-        row = self.values.row(self.latest)
+        row = self.values.row(self.latest, self.fresh)
         self.first = None
         self.fresh.clear()
         if row is not None:

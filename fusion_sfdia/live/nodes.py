@@ -2,39 +2,65 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.live.tables import load_tables, require_texts
+from fusion_sfdia.live.readings import Reader
+from fusion_sfdia.live.tables import load_tables, require_bounds, require_known, require_states, require_texts, units_of
+from fusion_sfdia.live.values import MAX_LAG, MAX_LEAD
+from fusion_sfdia.logs.conversion import conversion
 
 UNCERTAIN = ("use", "missing")
+
+
+class Source(NamedTuple):
+    """A node; unit: of its numbers, "" for the plant's; states: the numbers of texts and of true and false."""
+
+    node: str
+    unit: str = ""
+    states: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
 class Nodes:
     """Nodes by their OPC UA ids, such as "ns=2;s=TT-101.PV", and how they are read.
 
-    read: the node of each sensor and input, in the plant's units. write: of some sensors {"value", "sigma", "verdict": node},
-    and the nodes "verdict" and "alarm" of the whole. uncertain: whether values of that quality are used ("use") or "missing".
-    stale: seconds by which the source time of a value may be before the newest one; an older one is missing (None: it counts,
-    as servers that report changes alone do not renew it). period: seconds between two readings of all nodes, None for the
-    plant's dt. retry: seconds between attempts to connect; timeout: seconds for an answer. user, password, security (asyncua's
+    read: the node of each sensor and input, or a table of the fields of `Source`. write: of some sensors {"value", "sigma",
+    "verdict": node}, and the nodes "verdict" and "alarm" of the whole. uncertain: whether values of that quality are used
+    ("use") or "missing". stale: seconds by which the source time of a value may be before the newest one; an older one is
+    missing (None: it counts, as servers that report changes alone do not renew it). max_lead, max_lag: as in `Values`, of
+    source times that are new. period: seconds between two readings of all nodes, None for the plant's dt. retry: seconds
+    between attempts to connect; timeout: seconds for an answer. user, password, security (asyncua's
     "Policy,Mode,certificate,key[,server certificate]"): of the connection.
     """
 
-    read: dict[str, str]
+    read: dict[str, Any]
     write: dict[str, Any] = field(default_factory=dict)
     uncertain: str = "use"
     stale: float | None = None
+    max_lead: float = MAX_LEAD
+    max_lag: float = MAX_LAG
     period: float | None = None
     retry: float = 5.0
     timeout: float = 4.0
     user: str | None = None
     password: str | None = None
     security: str | None = None
+
+    @property
+    def sources(self) -> dict[str, Source]:
+        """Where the value of each sensor and input comes from."""
+        return {name: Source(at) if isinstance(at, str) else Source(**at) for name, at in self.read.items()}
+
+    def reader(self, name: str, unit: str) -> Reader:
+        """How the values of a sensor or an input in this unit are read; ValueError for a unit that does not convert to it."""
+        source = self.sources[name]
+        return Reader(unit, conversion(source.unit, unit), source.states)
 
 
 def load_nodes(path: str | Path, plant: Plant) -> Nodes:
@@ -43,11 +69,28 @@ def load_nodes(path: str | Path, plant: Plant) -> Nodes:
     ValueError for anything else, for unknown names, for an input without a node, and where no sensor has one.
     """
     known, seconds = [f.name for f in fields(Nodes)], ("stale", "period", "retry", "timeout")
-    found = load_tables(path, plant, known, seconds, _require_node, _require_node, _address)
+    found = load_tables(path, plant, known, seconds, _require_source, _require_node, _address)
     require_texts(path, found, ("uncertain", "user", "password", "security"))
     if (given := found.get("uncertain", "use")) not in UNCERTAIN:
         raise ValueError(f"{path}: uncertain is {given!r}; expected {' or '.join(map(repr, UNCERTAIN))}")
-    return Nodes(**found)
+    require_bounds(path, found)
+    nodes, units = Nodes(**found), units_of(plant)
+    try:
+        for name in nodes.sources:
+            nodes.reader(name, units[name])
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    return nodes
+
+
+def _require_source(where: str, value: Any) -> None:
+    if not isinstance(value, dict):
+        return _require_node(where, value)
+    require_known(f"{where}:", value, Source._fields)
+    if not isinstance(value.get("unit", ""), str):
+        raise ValueError(f"{where}: unit is {shown(value['unit'])}; expected a unit, such as 'degC'")
+    require_states(where, value)
+    _require_node(f"{where}: node", value.get("node"))
 
 
 def _require_node(where: str, value: Any) -> None:
@@ -55,7 +98,7 @@ def _require_node(where: str, value: Any) -> None:
         raise ValueError(f"{where} is {shown(value)}; expected the id of a node, such as 'ns=2;s=TT-101.PV'")
 
 
-def _address(value: str) -> tuple[str]:
+def _address(value: Any) -> tuple[str]:
     """The id of a node in one form, "ns=0;i=85" for "i=85"."""
-    parts = sorted(part.strip() for part in value.split(";"))
+    parts = sorted(part.strip() for part in (value if isinstance(value, str) else value["node"]).split(";"))
     return (";".join(parts if any(part.startswith("ns") for part in parts) else ["ns=0", *parts]),)

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from datetime import UTC, datetime
 from importlib import import_module
 from typing import Any
 
 import numpy as np
 
+from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.detector import MissingPackageError
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.live.lines import results
 from fusion_sfdia.live.nodes import Nodes
 from fusion_sfdia.live.saving import SavedWatch
-from fusion_sfdia.live.values import Value, Values, real
+from fusion_sfdia.live.tables import units_of
+from fusion_sfdia.live.values import Value, Values
 from fusion_sfdia.live.watch import Sample
+
+FIRST_YEAR = 1970  # of time stamps; OPC UA counts from 1601, which stands for none
 
 
 def asyncua() -> Any:
@@ -30,8 +35,9 @@ async def watch_server(saved: SavedWatch, url: str, nodes: Nodes) -> None:
     """Watch the nodes of a server until cancelled, and connect again whenever the connection is lost.
 
     All nodes are read at once, every `nodes.period`. The time of a row is the newest source time stamp among its nodes; without
-    a newer one there is no row. A reading of bad quality is missing, as is one of uncertain quality, or stale, where `nodes`
-    states so. What happened while there was no connection is a gap.
+    a newer one there is no row. A time stamp that is too far from the clock of this computer counts for nothing, see `Values`.
+    A reading of bad quality is missing, as is one of uncertain quality, or stale, where `nodes` states so. What happened while
+    there was no connection is a gap.
     """
     bridge, is_up = Bridge(saved, url, nodes), True
     while True:
@@ -56,12 +62,19 @@ async def watch_server(saved: SavedWatch, url: str, nodes: Nodes) -> None:
 class Bridge:
     """Between the nodes of a server and a watch."""
 
-    def __init__(self, saved: SavedWatch, url: str, nodes: Nodes) -> None:
-        self.ua, self.saved, self.url, self.nodes = asyncua().ua, saved, url, nodes
+    def __init__(
+        self, saved: SavedWatch, url: str, nodes: Nodes, now: Callable[[], datetime] = lambda: datetime.now(UTC)
+    ) -> None:
+        self.ua, self.saved, self.url, self.nodes, self.now = asyncua().ua, saved, url, nodes, now
         self.plant: Plant = saved.watch.detector.plant
-        self.values = Values(saved.watch, nodes.stale)
+        self.period, sources = nodes.period or self.plant.dt, nodes.sources
+        where = {name: f"node {source.node}" for name, source in sources.items()}
+        self.values = Values(saved.watch, nodes.stale, nodes.max_lead, nodes.max_lag, delay=self.period, sources=where)
         self.names = self.values.names
-        self.read = [(i, self._id(nodes.read[name])) for i, name in enumerate(self.names) if name in nodes.read]
+        self.read = [(i, self._id(sources[name].node)) for i, name in enumerate(self.names) if name in sources]
+        units = units_of(self.plant)
+        self.readers = {name: nodes.reader(name, units[name]) for name in sources}
+        self.stamps: dict[str, datetime | None] = {}  # of the last values
 
     def _id(self, text: str) -> Any:
         try:
@@ -71,17 +84,16 @@ class Bridge:
 
     async def rows(self, client: Any) -> None:
         """Read and diagnose one row after another; returns with an error of the connection."""
-        period, checked = self.nodes.period or self.plant.dt, False
+        checked = False
         while True:
             found = await client.uaclient.read_attributes([node for _, node in self.read], self.ua.AttributeIds.Value)
             if not checked:
                 self.check(found)
                 checked = True
-            named = {self.names[i]: self._value(value) for (i, _), value in zip(self.read, found, strict=True)}
-            if (row := self.values.row(named)) is not None:
+            if (row := self.row(found, self.now())) is not None:
                 for sample in self.saved.take(*row):
                     await self._write(client, sample)
-            await asyncio.sleep(period)
+            await asyncio.sleep(self.period)
 
     def check(self, found: list[Any]) -> None:
         """Remark on nodes that have never a value, such as one that the server does not know."""
@@ -90,14 +102,38 @@ class Bridge:
                 ("BadNodeId", "BadNotReadable", "BadUserAccess")
             ):
                 name = self.names[i]
-                self.saved.watch.refused(f"{name}: its node {self.nodes.read[name]} has no value ({value.StatusCode.name})")
+                self.saved.watch.refused(
+                    f"{name}: its node {self.nodes.sources[name].node} has no value ({value.StatusCode.name})"
+                )
         if not any(v.SourceTimestamp or v.ServerTimestamp for v in found):
             self.saved.watch.refused("no node has a time stamp: there are no rows")
 
-    def _value(self, found: Any) -> Value:
-        """What an OPC UA data value states; its quality decides whether it counts."""
-        counts = self._counts(found.StatusCode) and found.Value is not None
-        return Value(real(found.Value.Value) if counts else np.nan, _aware(found.SourceTimestamp or found.ServerTimestamp))
+    def row(self, found: list[Any], arrived: datetime) -> tuple[datetime, Any, Any] | None:
+        """The row of data values that were read at `arrived`, as `Values.row`; None without a new time stamp."""
+        values = {
+            self.names[i]: self._value(self.names[i], value, arrived) for (i, _), value in zip(self.read, found, strict=True)
+        }
+        self.stamps = {name: value.stamp for name, value in values.items()}
+        if not any(value.has_time for value in values.values()):
+            return None
+        # those with a time first, as they tell the time of the others
+        checked = {
+            name: self.values.checked(name, values[name]) for name in sorted(values, key=lambda n: not values[n].has_time)
+        }
+        return self.values.row({name: value for name, value in checked.items() if value is not None})
+
+    def _value(self, name: str, found: Any, arrived: datetime) -> Value:
+        """What an OPC UA data value states; its quality decides whether it counts, and its source time where it is new."""
+        number, fault = np.nan, ""
+        if self._counts(found.StatusCode) and found.Value is not None:
+            number, fault = self.readers[name](found.Value.Value)
+        if fault:
+            fault = f"node {self.nodes.sources[name].node}: value {shown(found.Value.Value)}: {fault}"
+        stamp = _aware(found.SourceTimestamp or found.ServerTimestamp)
+        if stamp is None or stamp.year < FIRST_YEAR:
+            return Value(number, arrived, arrived, has_time=False, fault=fault)
+        retained = name not in self.stamps or self.stamps[name] == stamp
+        return Value(number, stamp, arrived, retained=retained, fault=fault)
 
     def _counts(self, status: Any) -> bool:
         return status is None or status.is_good() or (self.nodes.uncertain == "use" and status.is_uncertain())

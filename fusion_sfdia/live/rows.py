@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Iterator, Sequence
 from datetime import datetime
 from typing import Any, BinaryIO
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.live.readings import json_value
 from fusion_sfdia.logs.columns import find_sources, require_columns_of
 from fusion_sfdia.logs.log_map import MASK, PLAIN_MAP, LogMap
 from fusion_sfdia.logs.mask import COMPARISONS, mask_titles
@@ -131,18 +131,9 @@ class TextRows:
 
 def _object(line: str) -> dict[str, Any]:
     try:
-        found = json.loads(line, object_pairs_hook=_of_single_keys)
-    except (ValueError, RecursionError) as error:
+        found = json_value(line)
+    except ValueError as error:
         raise ValueError(f"not JSON ({str(error)[:80]}): {shown(line.strip())}") from error
     if not isinstance(found, dict):
         raise ValueError(f"{shown(found)} is no JSON object; expected names and values")
-    return found
-
-
-def _of_single_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object of JSON; ValueError where a key occurs twice, since only one of the values would count."""
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        keys = [key for key, _ in pairs]
-        raise ValueError(f"the key {shown(next(k for k in keys if keys.count(k) > 1))} occurs twice")
     return found

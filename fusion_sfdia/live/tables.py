@@ -96,6 +96,11 @@ def _in_words(address: tuple[Hashable, ...]) -> str:
     return f"{where!r}" + "".join(f", key {key!r}" for key in what)
 
 
+def units_of(plant: Plant) -> dict[str, str]:
+    """The unit of each sensor and input."""
+    return {s.name: s.unit for s in plant.inputs} | {s.name: s.unit for s in plant.sensors}
+
+
 def require_known(where: str, found: Iterable[str], known: Iterable[str]) -> None:
     """Raise ValueError for a name that is not known."""
     if unknown := [name for name in found if name not in (known := tuple(known))]:
@@ -107,3 +112,20 @@ def require_texts(path: str | Path, found: dict[str, Any], names: Iterable[str])
     for name in names:
         if name in found and not isinstance(found[name], str):
             raise ValueError(f"{path}: {name} is {shown(found[name])}; expected a text")
+
+
+def require_bounds(path: str | Path, found: dict[str, Any]) -> None:
+    """Raise ValueError for a max_lead or max_lag that is no number of seconds of at least 0; infinity is one."""
+    for name in ("max_lead", "max_lag"):
+        if name in found and not number(f"{path}: {name}", found[name]) >= 0:
+            raise ValueError(f"{path}: {name} is {found[name]}; expected seconds of at least 0, or inf")
+
+
+def require_states(where: str, found: dict[str, Any]) -> None:
+    """Raise ValueError for states that are no table of finite numbers by text."""
+    states = found.get("states", {})
+    if not isinstance(states, dict) or not all(
+        isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < float("inf")
+        for value in states.values()
+    ):
+        raise ValueError(f"{where}: states is {shown(states)}; expected numbers by text, such as {{ on = 1.0, off = 0.0 }}")

@@ -34,6 +34,7 @@ PATIENCE = 120  # s, after which the test fails instead of hanging
 START = datetime(2026, 3, 1, 14, 0, tzinfo=UTC)
 TOPICS = """
 retry = 0.05
+max_lag = inf
 status = "tanks/watch"
 
 [read]
@@ -266,10 +267,10 @@ def test_a_payload_is_a_number_or_an_object_with_value_time_and_quality(topics: 
         b"": (np.nan, now),
         b"Bad": (np.nan, now),
         b"[1]": (np.nan, now),
-        b"true": (1.0, now),
+        b"true": (np.nan, now),
         b"1e999": (np.nan, now),
         b'{"value": 1}': (1.0, now),
-        b'{"value": "1"}': (np.nan, now),
+        b'{"value": "1"}': (1.0, now),
         b'{"value": 1, "quality": 192}': (1.0, now),
         b'{"value": 1, "quality": "Good"}': (1.0, now),
         b'{"value": 1, "quality": true}': (1.0, now),
@@ -332,7 +333,15 @@ def test_a_file_of_topics_or_an_address_that_does_not_fit_is_refused(tmp_path: P
         (('value = "l1.pv"', "value = 1"), "l1: value is 1; expected a key"),
         (("retry = 0.05", "retry = 0"), "retry is 0; expected a positive number of seconds"),
         (("retry = 0.05", "qos = 3"), "qos is 3; expected 0 or 1 or 2"),
-        (("retry = 0.05", 'epoch = "us"'), "epoch is 'us'; expected 's' or 'ms'"),
+        (("retry = 0.05", 'epoch = "min"'), "epoch is 'min'; expected 's' or 'ms' or 'us' or 'ns'"),
+        (("retry = 0.05", 'decimal = ";"'), "decimal is ';'; expected '.' or ','"),
+        (("max_lag = inf", "max_lag = nan"), "max_lag is nan; expected seconds of at least 0, or inf"),
+        (("max_lag = inf", "max_lead = -1"), "max_lead is -1; expected seconds of at least 0, or inf"),
+        (("retry = 0.05", 'tz = "Amsterdam"'), "tz is 'Amsterdam'; expected a time zone by its place"),
+        (("retry = 0.05", 'time_format = "dd.mm"'), "format is 'dd.mm'; expected one as strptime takes it"),
+        (('"tanks/q2"', '{ topic = "tanks/q2", unit = "bar" }'), "unit 'bar' does not convert to 'm3/s'"),
+        (('"tanks/q2"', '{ topic = "tanks/q2", unit = 1 }'), "q2: unit is 1; expected a unit"),
+        (('"tanks/q2"', '{ topic = "tanks/q2", states = { on = true } }'), "q2: states is {'on': True}; expected numbers"),
         (("retry = 0.05", 'good = "good"'), "good is 'good'; expected a list"),
         (("retry = 0.05", 'password = "x"'), "unknown name 'password'"),
         (("retry = 0.05", 'password_file = "a"\npassword_variable = "B"'), "both state the password"),

@@ -29,6 +29,7 @@ HELPERS = Path(__file__).resolve().parents[1] / "helpers"
 PATIENCE = 120  # s, after which the test fails instead of hanging
 NODES = """
 period = 0.001
+max_lag = inf
 retry = 0.01
 uncertain = "missing"
 
@@ -194,6 +195,10 @@ def test_a_file_of_nodes_that_does_not_fit_is_refused(tmp_path: Path) -> None:
         (("inflow =", "#"), "nothing for the inputs inflow"),
         (("{ value =", "{ size ="), r"\[write.l1\]: unknown name 'size'"),
         (("[read]", "[read"), "is not TOML"),
+        (("max_lag = inf", 'max_lag = "inf"'), "max_lag is 'inf'; expected a number"),
+        (('"ns=2;s=l1"', '{ node = "ns=2;s=l1", unit = "bar" }'), "unit 'bar' does not convert to 'm'"),
+        (('"ns=2;s=l1"', '{ node = "ns=2;s=l1", scale = 2 }'), "l1: unknown name 'scale'; known: node, unit, states"),
+        (('"ns=2;s=l1"', '{ unit = "mm" }'), "l1: node is None; expected the id of a node"),
         (('"ns=2;s=alarm"', '"s=q2;ns=2"'), r"\[read\] q2 and \[write\] alarm both have the address"),
         (('"ns=2;s=l1.sigma"', '"ns=2;s=inflow"'), r"\[read\] inflow and \[write.l1\] sigma both have the address"),
         (('"ns=2;s=q12"', '"ns=2;s=l2"'), "sensor l2 and sensor q12 are both read from 'ns=2;s=l2'"),
