@@ -101,7 +101,7 @@ def long_rows(
         if log_map.duplicates == "refuse":
             k = int(again.argmax())
             with problems.collecting("order"):
-                raise twice(table.text(k), log_map.time[0], f"{times.clock.at(float(times.t[k]))} of {tags[k]}")
+                raise twice(table.text(k), log_map.time[0], times.clock, float(times.t[k]), of=f" of {tags[k]}")
         findings.append(dropped(int(again.sum()), log_map))
     grouped = frame.groupby(["t", "tag"], sort=True)["value"].agg(
         "first" if log_map.duplicates == "refuse" else log_map.duplicates

@@ -18,10 +18,11 @@ from fusion_sfdia.core.arguments import number, shown, whole
 from fusion_sfdia.logs.epochs import NAMES, SECONDS, count_of
 
 AT_THE_SAMPLE, UNTIL_THE_SAMPLE = "at the sample", "until the sample"
+SPREAD = "spread"
 OPC_DA, OPC_UA = "opc-da", "opc-ua"
 MASK = re.compile(r"(.+?)\s*(<=|>=|==|!=|<|>)\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)", re.ASCII)
 CHOICES = {
-    "duplicates": ("refuse", "first", "last", "mean"),
+    "duplicates": ("refuse", "first", "last", "mean", SPREAD),
     "order": ("refuse", "sort"),
     "inputs": (AT_THE_SAMPLE, UNTIL_THE_SAMPLE),
     "decimal": (".", ","),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import UTC
+from datetime import UTC, timedelta
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.logs.epochs import FIRST, Calendar, candidates, is_near, shown_as
 from fusion_sfdia.logs.findings import Finding, counted
+from fusion_sfdia.logs.order import HOUR, places_changing
 from fusion_sfdia.logs.times import Expected, Times
 
 Array = NDArray[Any]
@@ -33,6 +34,10 @@ def overview(plant: Plant, log: Log, times: Times, expected: Expected) -> list[F
     found += times.notes
     if clock.start is not None and clock.start.tzinfo is None:
         text = "the stamps state no time zone: state tz in a map, or an hour is wrong where clocks change"
+        for k in np.flatnonzero(np.abs(np.diff(t) - step - HOUR) <= min(0.6 * step + 1.0, 0.1 * HOUR)):
+            if places := places_changing(clock.start + timedelta(seconds=float(t[k]) + step + 1.0), back=False):
+                text += f"; an hour is missing after {clock.at(float(t[k]))}, where summer time begins in {', '.join(places)}"
+                break
         found.append(Finding("zone", "", 0, text))
     found += [*_in_the_future(t, times, expected), *_unusual_step(plant, t, step, times, expected)]
     gaps = np.flatnonzero(np.diff(t) > GAP * step)

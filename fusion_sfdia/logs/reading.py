@@ -23,7 +23,7 @@ from fusion_sfdia.logs.order import Rows, in_order
 from fusion_sfdia.logs.overview import overview
 from fusion_sfdia.logs.problems import Problems
 from fusion_sfdia.logs.tables import read_table
-from fusion_sfdia.logs.times import UNKNOWN, Expected, Times
+from fusion_sfdia.logs.times import UNKNOWN, Expected
 
 Array = NDArray[Any]
 
@@ -62,7 +62,7 @@ def read_log(source: Any, plant: Plant, chosen: LogMap, allowed: dict[str, bool]
     sources, rows, times, findings = read(table, plant, chosen, allowed, problems, expected)
     if times.kind == UNKNOWN:  # an input without any value is missing however long it is held
         chosen = replace(chosen, hold=inf if chosen.hold else 0.0)
-    rows = _ordered(rows, times, chosen, findings, problems)
+    rows = in_order(table.where, rows, times.clock, chosen, findings, problems)
     masked = np.zeros(rows.t.shape, dtype=bool)
     if not problems.of("cells", "mask", "quality"):
         with problems.collecting("mask"):
@@ -76,14 +76,6 @@ def read_log(source: Any, plant: Plant, chosen: LogMap, allowed: dict[str, bool]
         findings.append(Finding("ignored", "", count, f"{counted(count, 'column')} not used: {some(sources.ignored)}"))
     absent = tuple(n for n in plant.sensor_names if n not in {c.name for c in sources.columns})
     return LoadedLog(log, times.clock, (*overview(plant, log, times, expected), *findings), absent, sources.columns)
-
-
-def _ordered(rows: Rows, times: Times, log_map: LogMap, findings: list[Finding], problems: Problems) -> Rows:
-    """The rows with increasing times; where the map refuses theirs, that is added to problems, and they are as it could be."""
-    for tolerant in (log_map, replace(log_map, order="sort"), replace(log_map, order="sort", duplicates="first")):
-        with problems.collecting("order"):
-            return in_order(problems.where, rows, times.clock, tolerant, findings)
-    raise AssertionError("sorted rows, one for each time, are in order")
 
 
 def _log(

@@ -65,7 +65,7 @@ def test_a_file_and_an_object_are_the_same_map(tmp_path: Path) -> None:
         ("[log]\nformat = 'DD-MM-YYYY'\n", "format is 'DD-MM-YYYY'; expected one as strptime takes it"),
         ("[log]\ndecimal = ','\nthousands = ','\n", "decimal and thousands are both ','; give each its own"),
         ("[log]\nencoding = 'hex'\n", "encoding is 'hex'; expected one such as"),
-        ("[log]\nduplicates = 'newest'\n", 'duplicates is \'newest\'; expected "refuse", "first", "last" or "mean"'),
+        ("[log]\nduplicates = 'newest'\n", 'duplicates is \'newest\'; expected "refuse", "first", "last", "mean" or "spread"'),
         ("[log]\ninputs = 'before'\n", 'inputs is \'before\'; expected "at the sample" or "until the sample"'),
         ("[log]\nhold = -1\n", "hold is -1; expected seconds of at least 0, or true for any length"),
         ("[log]\npreamble = 1.5\n", "preamble is 1.5; expected a whole number of at least 0"),

@@ -268,7 +268,7 @@ def test_long_format_duplicates_and_unknown_tags(tmp_path: Path) -> None:
     expected: tuple[Array, ...] = (T, Y, U[:, None])
     for mine, right in zip(found.log, expected, strict=True):
         np.testing.assert_array_equal(mine, right)
-    with pytest.raises(ValueError, match=r"row 3, column time: 5 s of l1 again; .* keep one row of each time"):
+    with pytest.raises(ValueError, match=r"row 3, column time: 5\.0 s of l1 again; .* keep one row of each time"):
         load(tmp_path, [cells[0], *cells], titles=titles, tag="tag", value="value")
     with pytest.raises(ValueError, match="no column 'Tag' among 'time', 'tag', 'value'; correct the map"):
         load(tmp_path, cells, titles=titles, tag="Tag", value="value")
