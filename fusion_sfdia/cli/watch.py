@@ -37,6 +37,9 @@ def add_watch(commands: Any) -> None:
     one.add_argument("--nodes", type=Path, metavar="NODES.toml", help="which nodes are read and written, with --opcua")
     one.add_argument("--mqtt", metavar="URL", help="read the rows from an MQTT broker: mqtt://host:1883, or mqtts:// for TLS")
     one.add_argument("--topics", type=Path, metavar="TOPICS.toml", help="which topics are read and written, with --mqtt")
+    one.add_argument(
+        "--allow-plain-password", action="store_true", help="send a password although the connection is not encrypted"
+    )
     one.add_argument("--state", type=Path, metavar="FILE", help="where the state is saved, and taken up if the file is there")
     one.add_argument("--save-every", type=integer, default=1000, metavar="N", help="rows between two saves (default: 1000)")
     one.add_argument("--samples", action="store_true", help="also a line for each row: verdict and validated readings")
@@ -74,6 +77,7 @@ def _watched(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.cli.tune import bound_detector
     from fusion_sfdia.live.remarks import Remarks
     from fusion_sfdia.live.saving import SavedWatch
+    from fusion_sfdia.live.security import SCHEMES, address
     from fusion_sfdia.live.watch import Watch
     from fusion_sfdia.logs.log_map import AT_THE_SAMPLE, PLAIN_MAP, load_map
 
@@ -84,6 +88,9 @@ def _watched(chosen: argparse.Namespace) -> int:
             raise ValueError(f"--{one} needs --{other}, which states what a --map states of text; give both or neither")
     if chosen.opcua and chosen.mqtt:
         raise ValueError("--opcua and --mqtt both state where the rows come from; give one")
+    for option in ("opcua", "mqtt"):  # before anything that takes time
+        if (url := getattr(chosen, option)) is not None:
+            address(f"--{option}", url, SCHEMES[option])
     refused, log_map = Remarks(_say), load_map(chosen.map) if chosen.map else PLAIN_MAP
     _, bound = bound_detector(chosen.plant, chosen.detector, chosen.tuned)
     settings = {
@@ -137,20 +144,22 @@ def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap) -> Non
 
 def _server(chosen: argparse.Namespace, saved: SavedWatch) -> None:
     import asyncio
-    import logging
 
     from fusion_sfdia.live.nodes import load_nodes
     from fusion_sfdia.live.opcua import watch_server
+    from fusion_sfdia.live.security import remarked_logs
 
-    logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # it logs each lost connection with a traceback
-    asyncio.run(watch_server(saved, chosen.opcua, load_nodes(chosen.nodes, saved.watch.detector.plant)))
+    nodes = load_nodes(chosen.nodes, saved.watch.detector.plant)
+    with remarked_logs(("asyncua", "asyncuagds"), saved.watch.refused):
+        asyncio.run(watch_server(saved, chosen.opcua, nodes, allow_plain_password=chosen.allow_plain_password))
 
 
 def _broker(chosen: argparse.Namespace, saved: SavedWatch) -> None:
     from fusion_sfdia.live.mqtt import watch_broker
     from fusion_sfdia.live.topics import load_topics
 
-    watch_broker(saved, chosen.mqtt, load_topics(chosen.topics, saved.watch.detector.plant))
+    topics = load_topics(chosen.topics, saved.watch.detector.plant)
+    watch_broker(saved, chosen.mqtt, topics, allow_plain_password=chosen.allow_plain_password)
 
 
 def _write(line: str) -> None:

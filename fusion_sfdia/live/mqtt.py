@@ -8,11 +8,11 @@ from datetime import UTC, datetime
 from importlib import import_module
 from queue import Empty, Full, Queue
 from typing import Any, NamedTuple
-from urllib.parse import urlsplit
 
 import numpy as np
 
 from fusion_sfdia.core.detector import MissingPackageError
+from fusion_sfdia.live import security
 from fusion_sfdia.live.lines import results
 from fusion_sfdia.live.saving import SavedWatch
 from fusion_sfdia.live.tables import units_of
@@ -21,7 +21,7 @@ from fusion_sfdia.live.values import Value, Values
 from fusion_sfdia.live.watch import Sample
 
 QUEUED = 10_000  # messages
-PORTS = {"mqtt": 1883, "mqtts": 8883}
+CONNECTING = 5.0  # s
 
 
 class Message(NamedTuple):
@@ -42,24 +42,22 @@ def paho() -> Any:
 
 def address(url: str) -> tuple[str, int, bool]:
     """Host, port and whether TLS is used, of mqtt://host[:port] or mqtts://host[:port]; ValueError for anything else."""
-    try:
-        found = urlsplit(url)
-        host, port = found.hostname, found.port
-    except ValueError:
-        host, port, found = None, None, urlsplit("")
-    if found.scheme not in PORTS or not host or found.username or found.path not in ("", "/"):
-        raise ValueError(f"{url!r} is no address of a broker; expected mqtt://host:1883, or mqtts://host:8883 for TLS")
-    return host, port or PORTS[found.scheme], found.scheme == "mqtts"
+    scheme, host, port = security.address("--mqtt", url, security.SCHEMES["mqtt"], ("", "/"))
+    return host, port, scheme == "mqtts"
 
 
-def watch_broker(saved: SavedWatch, url: str, topics: Topics) -> None:
+def watch_broker(saved: SavedWatch, url: str, topics: Topics, *, allow_plain_password: bool = False) -> None:
     """Watch the topics of a broker until interrupted; whenever the connection is lost, another is made.
 
     Messages wait in a queue while a row is diagnosed. Where more than QUEUED wait, the oldest is lost, and counted. What was
-    published while there was no connection is a gap.
+    published while there was no connection is a gap. UntrustedError where the broker's certificate is not known; ValueError for
+    a password without TLS, unless that is allowed.
     """
+    host, port, tls = address(url)
+    security.require_encrypted(topics.password is not None, tls, allow_plain_password, "use mqtts://")
     bridge = Bridge(saved, url, topics)
-    host, port, _ = address(url)
+    if bridge.context is not None:
+        security.require_known_broker(host, port, bridge.context, CONNECTING)
     bridge.client.connect_async(host, port)
     bridge.client.loop_start()
     try:
@@ -80,6 +78,7 @@ class Bridge:
     ) -> None:
         mqtt = paho()
         _, _, tls = address(url)
+        self.context = security.tls_context(topics) if tls else None
         self.saved, self.url, self.topics, self.now = saved, url, topics, now
         self.sources = sources = topics.sources
         plant = saved.watch.detector.plant
@@ -105,11 +104,11 @@ class Bridge:
         client.max_queued_messages_set(QUEUED)
         if topics.user is not None:
             client.username_pw_set(topics.user, topics.password)
-        if tls:
-            client.tls_set(topics.ca, topics.certificate, topics.key)
+        if self.context is not None:
+            client.tls_set_context(self.context)
         if topics.status is not None:
             client.will_set(topics.status, "gone", topics.qos, retain=True)
-        client.on_connect, client.on_connect_fail = self._connected, lambda *_: self._down("refused or not reachable")
+        client.on_connect, client.on_connect_fail = self._connected, lambda *_: self._down(self._failure())
         client.on_disconnect = lambda c, u, flags, reason, p: self._down(str(reason)) if reason.is_failure else None
         client.on_subscribe, client.on_message = self._subscribed, self._message
 
@@ -163,6 +162,16 @@ class Bridge:
         self.is_up = True
         if self.topics.status is not None:
             client.publish(self.topics.status, "watching", self.topics.qos, retain=True)
+
+    def _failure(self) -> str:
+        """Why no connection was made."""
+        host, port, _ = address(self.url)
+        try:
+            if self.is_up and self.context is not None:
+                security.require_known_broker(host, port, self.context, CONNECTING)
+        except (OSError, security.UntrustedError) as error:
+            return str(error)
+        return "refused or not reachable"
 
     def _down(self, why: str) -> None:
         if self.is_up:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.live.readings import Reader
+from fusion_sfdia.live.security import Connection, require_connection, require_security
 from fusion_sfdia.live.tables import load_tables, require_bounds, require_known, require_states, require_texts, units_of
 from fusion_sfdia.live.values import MAX_LAG, MAX_LEAD
 from fusion_sfdia.logs.conversion import conversion
@@ -27,7 +28,7 @@ class Source(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Nodes:
+class Nodes(Connection):
     """Nodes by their OPC UA ids, such as "ns=2;s=TT-101.PV", and how they are read.
 
     read: the node of each sensor and input, or a table of the fields of `Source`. write: of some sensors {"value", "sigma",
@@ -35,8 +36,9 @@ class Nodes:
     ("use") or "missing". stale: seconds by which the source time of a value may be before the newest one; an older one is
     missing (None: it counts, as servers that report changes alone do not renew it). max_lead, max_lag: as in `Values`, of
     source times that are new. period: seconds between two readings of all nodes, None for the plant's dt. retry: seconds
-    between attempts to connect; timeout: seconds for an answer. user, password, security (asyncua's
-    "Policy,Mode,certificate,key[,server certificate]"): of the connection.
+    between attempts to connect; timeout: seconds for an answer. security: "Policy,Mode,certificate,key" of a
+    connection that is signed, or signed and encrypted; trusted: a folder of certificates of servers and authorities that are
+    trusted. The rest of the connection: see `Connection`.
     """
 
     read: dict[str, Any]
@@ -48,9 +50,8 @@ class Nodes:
     period: float | None = None
     retry: float = 5.0
     timeout: float = 4.0
-    user: str | None = None
-    password: str | None = None
     security: str | None = None
+    trusted: str | None = None
 
     @property
     def sources(self) -> dict[str, Source]:
@@ -70,7 +71,9 @@ def load_nodes(path: str | Path, plant: Plant) -> Nodes:
     """
     known, seconds = [f.name for f in fields(Nodes)], ("stale", "period", "retry", "timeout")
     found = load_tables(path, plant, known, seconds, _require_source, _require_node, _address)
-    require_texts(path, found, ("uncertain", "user", "password", "security"))
+    require_texts(path, found, ("uncertain",))
+    require_connection(path, found, "security", "trusted")
+    require_security(path, found)
     if (given := found.get("uncertain", "use")) not in UNCERTAIN:
         raise ValueError(f"{path}: uncertain is {given!r}; expected {' or '.join(map(repr, UNCERTAIN))}")
     require_bounds(path, found)

@@ -16,6 +16,7 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.live.lines import results
 from fusion_sfdia.live.nodes import Nodes
 from fusion_sfdia.live.saving import SavedWatch
+from fusion_sfdia.live.security import EXAMPLE, SCHEMES, UntrustedError, address, require_encrypted, secure
 from fusion_sfdia.live.tables import units_of
 from fusion_sfdia.live.values import Value, Values
 from fusion_sfdia.live.watch import Sample
@@ -31,24 +32,30 @@ def asyncua() -> Any:
         raise MissingPackageError("a watch on OPC UA needs asyncua; install it: pip install 'fusion-sfdia[opcua]'") from error
 
 
-async def watch_server(saved: SavedWatch, url: str, nodes: Nodes) -> None:
+async def watch_server(saved: SavedWatch, url: str, nodes: Nodes, *, allow_plain_password: bool = False) -> None:
     """Watch the nodes of a server until cancelled, and connect again whenever the connection is lost.
 
     All nodes are read at once, every `nodes.period`. The time of a row is the newest source time stamp among its nodes; without
     a newer one there is no row. A time stamp that is too far from the clock of this computer counts for nothing, see `Values`.
     A reading of bad quality is missing, as is one of uncertain quality, or stale, where `nodes` states so. What happened while
-    there was no connection is a gap.
+    there was no connection is a gap. UntrustedError where the server's certificate is not known at the start; later that counts
+    as no connection. ValueError for a password without encryption, unless that is allowed.
     """
-    bridge, is_up = Bridge(saved, url, nodes), True
+    encrypted = nodes.security is not None and ",SignAndEncrypt," in nodes.security
+    cure = f"state security = {EXAMPLE}"
+    require_encrypted(nodes.password is not None, encrypted, allow_plain_password, cure)
+    bridge, is_up, ever = Bridge(saved, url, nodes), True, False
     while True:
         client = None
         try:
             client = await connected(url, nodes)
             if not is_up:
                 saved.watch.refused(f"{url}: connected again")
-            is_up = True
+            is_up = ever = True
             await bridge.rows(client)
-        except (OSError, TimeoutError, asyncua().ua.UaError) as error:
+        except (OSError, TimeoutError, asyncua().ua.UaError, UntrustedError) as error:
+            if isinstance(error, UntrustedError) and not ever:
+                raise
             if is_up:
                 remark = " ".join(str(error).split()) or type(error).__name__
                 saved.watch.refused(f"{url}: no connection ({remark}); tried again every {nodes.retry:g} s")
@@ -157,19 +164,14 @@ class Bridge:
 
 async def connected(url: str, nodes: Nodes) -> Any:
     """A client that is connected as the nodes state."""
+    _, host, _ = address("--opcua", url, SCHEMES["opcua"])
     client = asyncua().Client(url, timeout=nodes.timeout)
     if nodes.user is not None:
         client.set_user(nodes.user)
     if nodes.password is not None:
         client.set_password(nodes.password)
     if nodes.security is not None:
-        try:
-            await client.set_security_string(nodes.security)
-        except AttributeError as error:
-            raise ValueError(
-                f"security is {nodes.security!r}; expected Policy,Mode,certificate,key, such as "
-                "'Basic256Sha256,SignAndEncrypt,own.pem,own.key'"
-            ) from error
+        await secure(client, host, nodes)
     await client.connect()
     return client
 

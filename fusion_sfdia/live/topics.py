@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
@@ -16,6 +15,7 @@ import numpy as np
 from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.live.readings import DoubleKeyError, Reader, json_value
+from fusion_sfdia.live.security import Connection, require_connection
 from fusion_sfdia.live.tables import load_tables, require_bounds, require_known, require_states, require_texts, units_of
 from fusion_sfdia.live.values import MAX_LAG, MAX_LEAD, Value
 from fusion_sfdia.logs.conversion import conversion
@@ -45,7 +45,7 @@ class Source(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Topics:
+class Topics(Connection):
     """Topics, and how their payloads are read.
 
     read: the topic of each sensor and input, or a table of the fields of `Source`. write: of some sensors {"value", "sigma",
@@ -54,8 +54,8 @@ class Topics:
     for the codes of these; any other is bad. epoch: unit of times that are numbers since 1970 where their size does not tell.
     time_format, tz: of times in text, as format and tz of a LogMap. decimal: the mark of decimals in texts. together: seconds
     by which stamps of one row may differ, None for half the plant's dt. stale, max_lead, max_lag: as in `Values`. retry:
-    seconds between attempts to connect; qos: quality of service, 0, 1 or 2. user, and the password in a file (password_file) or
-    an environment variable (password_variable). ca, certificate, key: files for TLS.
+    seconds between attempts to connect; qos: quality of service, 0, 1 or 2. ca: file of the authority of the broker, for TLS;
+    certificate, key: files of an own certificate. The rest of the connection: see `Connection`.
     """
 
     read: dict[str, Any]
@@ -72,9 +72,6 @@ class Topics:
     max_lag: float = MAX_LAG
     retry: float = 5.0
     qos: int = 1
-    user: str | None = None
-    password_file: str | None = None
-    password_variable: str | None = None
     ca: str | None = None
     certificate: str | None = None
     key: str | None = None
@@ -83,17 +80,6 @@ class Topics:
     def sources(self) -> dict[str, Source]:
         """Where the value of each sensor and input comes from."""
         return {name: Source(at) if isinstance(at, str) else Source(**at) for name, at in self.read.items()}
-
-    @property
-    def password(self) -> str | None:
-        """The password, None without one; ValueError where the environment variable is not set."""
-        if self.password_file is not None:
-            return Path(self.password_file).read_text(encoding="utf-8").rstrip("\r\n")
-        if self.password_variable is None:
-            return None
-        if (found := os.environ.get(self.password_variable)) is None:
-            raise ValueError(f"password_variable is {self.password_variable!r}, which the environment does not have; set it")
-        return found
 
     @cached_property
     def times(self) -> LogMap:
@@ -188,7 +174,8 @@ def load_topics(path: str | Path, plant: Plant) -> Topics:
     known = [f.name for f in fields(Topics)]
     found = load_tables(path, plant, known, ("together", "stale", "retry"), _require_source, _require_topic, _address)
     require_bounds(path, found)
-    require_texts(path, found, ("time_format", "tz", "user", "password_file", "password_variable", "ca", "certificate", "key"))
+    require_texts(path, found, ("time_format", "tz"))
+    require_connection(path, found, "ca", "certificate", "key")
     for name, value, expected in (
         ("epoch", found.get("epoch", "s"), tuple(EPOCHS)),
         ("decimal", found.get("decimal", "."), (".", ",")),
@@ -203,8 +190,6 @@ def load_topics(path: str | Path, plant: Plant) -> Topics:
                 "'opc-da' or 'opc-ua'"
             )
         found["good"] = tuple(found["good"])
-    if "password_file" in found and "password_variable" in found:
-        raise ValueError(f"{path}: password_file and password_variable both state the password; give one")
     topics, units = Topics(**found), units_of(plant)
     try:
         topics.times  # noqa: B018, refuses a format or zone that there is not

@@ -119,13 +119,12 @@ def test_a_watch_that_is_killed_and_started_again_has_written_the_same_events(tm
 def test_a_tuned_detector_watches(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], log: Path) -> None:
     from fusion_sfdia.tuning.tuned import Tuned
 
-    class Found:
-        detector_name = "loo-chi2"
-
-        def detector(self, plant: Plant) -> LeaveOneOutBank:
+    class Found(Tuned):
+        def detector(self, plant: Plant, detector: object = None) -> LeaveOneOutBank:
             return LeaveOneOutBank(plant, window=1, threshold_scale=1000.0)
 
-    monkeypatch.setattr(Tuned, "read", lambda path: Found() if path == log.parent / "tuned.toml" else None)
+    found = Found({"detector": {"name": "loo-chi2"}})
+    monkeypatch.setattr(Tuned, "read", lambda path: found if path == log.parent / "tuned.toml" else None)
     assert watched(monkeypatch, log.read_bytes(), "--tuned", str(log.parent / "tuned.toml")) == 0
     line = json.loads(capsys.readouterr().out)  # one: its thresholds are far above the faults, which speak against the model
     assert line["event"] == "health" and line["reason"].startswith("model suspect: NIS ")
