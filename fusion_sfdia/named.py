@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from fusion_sfdia import registry
 from fusion_sfdia.builders import healthy_data
 from fusion_sfdia.core.detector import Detector
-from fusion_sfdia.core.log import as_log
+from fusion_sfdia.core.log import as_log, one_run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.detectors import FALSE_ALARM
-from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run
+from fusion_sfdia.evaluation.diagnose import SECONDS, Diagnosis, diagnose_run
 from fusion_sfdia.logs.check import without_suspects
 from fusion_sfdia.logs.findings import LoadedLog
 from fusion_sfdia.logs.reading import load_log
+from fusion_sfdia.logs.regularity import regularities
 from fusion_sfdia.logs.tables import is_frame
 
 
@@ -24,10 +27,11 @@ def diagnose(
     """Run a detector over recorded readings and collect what it isolates into events, see `diagnose_run`.
 
     detector: an object; or a registered name, a class or a function that builds one, which needs its plant, an object or a
-    name. data: what `load_log` or `check_log` read, a Log, a Recording of one run, a pandas frame, or t (K,), y (K, N),
-    u (K, m), see `as_log`. Time stamps give events their wall-clock times; sensors whose unit `check_log` suspects are taken
-    as missing. ValueError where names are unknown, the first argument is no detector or the data do not fit;
-    DiagnosisWarning for limits of the diagnosis that the events do not show.
+    name. data: what `load_log` or `check_log` read, a Log, a Recording of one run, a pandas frame, or t (K,), y (K, N), u (K,
+    m), see `as_log`. Time stamps give events their wall-clock times; sensors whose unit `check_log` suspects, and readings that
+    only repeat the one before, are taken as missing; sensors that are coarse or cyclic, which the plant does not state, have
+    more noise, or a period (`Diagnosis.of_log` states what was found). ValueError where names are unknown, the first argument
+    is no detector or the data do not fit; DiagnosisWarning for limits of the diagnosis that the events do not show.
     """
     if isinstance(detector, str | type | registry.NamedDetector) or not isinstance(detector, Detector):
         if not isinstance(detector, str | registry.NamedDetector) and not callable(detector):
@@ -39,17 +43,22 @@ def diagnose(
             name = registry.find_detector(detector).name
             lacks = f"{name!r} is a name, which" if isinstance(detector, str) else f"{name} is not built: it"
             raise ValueError(f"detector {lacks} needs its plant; pass plant=..., a Plant or a name")
+        build: Callable[[Plant], Detector] | None = partial(registry.detector, detector)
         detector = registry.detector(detector, registry.plant(plant))
     elif plant is not None and plant is not detector.plant:
         raise ValueError(
             f"plant is given together with a detector, which has its own, {detector.plant.name!r}; leave plant out"
         )
+    else:
+        build = None
     loaded = data[0] if len(data) == 1 else None
     if is_frame(loaded):
         loaded = load_log(loaded, detector.plant)
-    if isinstance(loaded, LoadedLog):
-        return diagnose_run(detector, without_suspects(detector.plant, loaded).log, gap=gap, clock=loaded.clock)
-    return diagnose_run(detector, as_log(detector.plant, *data), gap=gap)
+    given = loaded if isinstance(loaded, LoadedLog) else LoadedLog(one_run(as_log(detector.plant, *data)), SECONDS, ())
+    regular = regularities(detector.plant, given.log)
+    log = without_suspects(detector.plant, given).log
+    of_log = tuple(f.text for f in regular.findings(detector.plant))
+    return replace(diagnose_run(regular.detector(detector, build), log, gap=gap, clock=given.clock), of_log=of_log)
 
 
 def fit(name: str, plant: Plant | str, healthy: Any = None, false_alarm: float = FALSE_ALARM, **unknown: Any) -> Detector:

@@ -180,6 +180,7 @@ def _diagnose(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.core.files import locked
     from fusion_sfdia.core.verdicts import Verdict
     from fusion_sfdia.logs.reading import load_log
+    from fusion_sfdia.registry import detector
     from fusion_sfdia.report.log_report import FILES, as_text, diagnose_log
     from fusion_sfdia.report.log_units import LogUnits
 
@@ -187,7 +188,8 @@ def _diagnose(chosen: argparse.Namespace) -> int:
     with locked(out, force=chosen.force), printed_warnings():
         name, built, read = diagnosing_detector(chosen)
         read = read or load_log(chosen.data, built.plant, chosen.map, **columns(chosen))
-        found = diagnose_log(chosen.data, built, out, read=read, held=True, detector_name=name)
+        anew = partial(detector, name) if chosen.tuned is None and chosen.healthy is None else None
+        found = diagnose_log(chosen.data, built, out, read=read, held=True, detector_name=name, build=anew)
     code = int(found.decisions.diverged.any() or found.state is Verdict.BLIND or read.misread)
     if chosen.json:
         kinds = [{"kind": e.kind} if found.process_hypotheses else {} for e in found.events]

@@ -67,7 +67,9 @@ def with_noise(plant: Plant, noise: Noise) -> Plant:
         factor[members] = s
     cov = plant.process_cov * (factor if plant.process_cov.ndim == 1 else factor[0])
     meters = tuple(
-        replace(s, sigma=s.noise_sigma * float(np.sqrt(f)), bound=s.bound and s.bound * max(float(np.sqrt(f)), 1.0))
+        replace(
+            s, sigma=s.own_sigma(s.noise_sigma * float(np.sqrt(f))), bound=s.bound and s.bound * max(float(np.sqrt(f)), 1.0)
+        )
         for s, f in zip(plant.sensors, sensors, strict=True)
     )
     return replace(plant, process_cov=cov, sensors=meters)

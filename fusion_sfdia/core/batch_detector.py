@@ -107,6 +107,10 @@ class BatchDetector(ABC):
         whole("warm_up", warm_up, least=0)
         return as_log(self.plant, healthy)
 
+    def with_sensors_of(self, plant: Plant) -> Self:
+        """The detector on the same plant with other noise, resolutions or periods of its sensors."""
+        return replace(self, plant=plant)
+
     @property
     def hypotheses(self) -> tuple[str, ...]:
         return self.plant.sensor_names

@@ -118,6 +118,11 @@ class Plant:
         return np.array([s.noise_sigma for s in self.sensors])
 
     @cached_property
+    def sensor_resolution(self) -> Array:
+        """The step of the readings of each sensor (N,), 0 where none is stated."""
+        return np.array([s.resolution for s in self.sensors])
+
+    @cached_property
     def sensor_cov(self) -> Array:
         """R as its diagonal (N,): the errors of the readings are independent of each other."""
         return self.sensor_sigma**2

@@ -53,9 +53,10 @@ class Sensor:
     A missing sigma is that of a uniform error within the bound (bound/sqrt 3); a missing bound is inf.
     owner: the subsystem or area that reads the sensor. quantity: the kind of variable it measures ("pressure"), by which
     results are grouped. scale: its reading over the variable in SI; `Plant.in_units` sets it. period: of cyclic readings, in
-    the sensor's unit; None for that of the variable that it measures, if that has one.
-    Raises ValueError for noise or a period that is not positive and finite, noise that is missing, and a scale of 0 or one that
-    is not finite.
+    the sensor's unit; None for that of the variable that it measures, if that has one. resolution: the step of the readings,
+    whose rounding adds a uniform error to the noise; equal readings of a coarse sensor are then not taken as frozen.
+    Raises ValueError for noise or a period that is not positive and finite, noise that is missing, a negative resolution, and a
+    scale of 0 or one that is not finite.
     """
 
     name: str
@@ -67,6 +68,7 @@ class Sensor:
     quantity: str = ""
     scale: float = 1.0
     period: float | None = None
+    resolution: float = 0.0
 
     def __post_init__(self) -> None:
         for what, value in (("sigma", self.sigma), ("bound", self.bound)):
@@ -77,16 +79,25 @@ class Sensor:
         if not 0 < abs(number(f"sensor {self.name!r}: scale", self.scale)) < np.inf:
             raise ValueError(f"sensor {self.name!r}: scale is {self.scale}; it must be finite and not 0")
         _require_period(f"sensor {self.name!r}", self.period)
+        if not 0 <= number(f"sensor {self.name!r}: resolution", self.resolution) < np.inf:
+            raise ValueError(f"sensor {self.name!r}: resolution is {self.resolution}; it must be finite and at least 0")
 
     @property
     def noise_sigma(self) -> float:
-        """Standard deviation of the reading, in the sensor's unit."""
-        return self.sigma if self.sigma is not None else float(self.bound or 0.0) / np.sqrt(3.0)
+        """Standard deviation of the reading, in the sensor's unit: sqrt(sigma^2 + resolution^2 / 12)."""
+        sigma = self.sigma if self.sigma is not None else float(self.bound or 0.0) / np.sqrt(3.0)
+        return float(np.hypot(sigma, self.resolution / np.sqrt(12.0))) if self.resolution else sigma
+
+    def own_sigma(self, noise_sigma: float) -> float:
+        """The sigma with which the reading, with its rounding, has that standard deviation; a hundredth of it at least."""
+        if not self.resolution:
+            return noise_sigma
+        return float(np.sqrt(max(noise_sigma**2 - self.resolution**2 / 12.0, (0.01 * noise_sigma) ** 2)))
 
     @property
     def noise_bound(self) -> float:
         """Largest error of the reading, in the sensor's unit; inf where none is stated."""
-        return np.inf if self.bound is None else self.bound
+        return np.inf if self.bound is None else self.bound + self.resolution / 2
 
 
 def _require_period(whose: str, period: float | None) -> None:

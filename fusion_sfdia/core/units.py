@@ -39,8 +39,8 @@ def in_units(plant: Plant, units: Mapping[str, tuple[str, float]]) -> Plant:
         unit, scale = given
         factor[i] = scale = number(f"scale of sensor {name!r}", scale)
         sigma, bound = s.sigma and s.sigma * abs(scale), s.bound and s.bound * abs(scale)
-        period = s.period and s.period * abs(scale)
-        sensors[i] = replace(s, unit=unit, sigma=sigma, bound=bound, scale=s.scale * scale, period=period)
+        period, step = s.period and s.period * abs(scale), s.resolution * abs(scale)
+        sensors[i] = replace(s, unit=unit, sigma=sigma, bound=bound, scale=s.scale * scale, period=period, resolution=step)
     jacobian, finer, feedback = plant.jacobians[1], plant.truth.finer, plant.truth.feedback
     return replace(
         plant,

@@ -85,6 +85,11 @@ class EwmaLimits(BatchDetector):
         average = np.where(still, max(factor, 1.0), factor) * unit
         return cls(plant, fixed.centre, fixed.level, fixed.change, average, weight, **settings)
 
+    def with_sensors_of(self, plant: Plant) -> Self:
+        """The detector itself: what it learnt from healthy readings stays; NotApplicableError for cyclic ones."""
+        require_no_cycles(plant, "limits and relations that are learnt from readings")
+        return self
+
     def _start(self, batch: tuple[int, ...], seed: int) -> EwmaLimitsMemory:
         shape = (*batch, len(self.centre))
         trusted = np.broadcast_to(self.centre, shape).copy()

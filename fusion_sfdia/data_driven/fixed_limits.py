@@ -85,6 +85,11 @@ class FixedLimits(BatchDetector):
         factors = np.where(still, max(factor, 1.0), factor)
         return cls(plant, centre, factors * unit[0], factors * unit[1], **settings)
 
+    def with_sensors_of(self, plant: Plant) -> Self:
+        """The detector itself: what it learnt from healthy readings stays; NotApplicableError for cyclic ones."""
+        require_no_cycles(plant, "limits and relations that are learnt from readings")
+        return self
+
     def _start(self, batch: tuple[int, ...], seed: int) -> FixedLimitsMemory:
         shape = (*batch, len(self.centre))
         return FixedLimitsMemory(np.full(shape, np.nan), np.broadcast_to(self.centre, shape).copy())

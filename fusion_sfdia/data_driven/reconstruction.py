@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.arguments import shown, whole
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision, require_no_cycles
+from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.data_driven.component_model import ComponentModel, Reconstruction
 from fusion_sfdia.data_driven.healthy_limits import without_model
 
@@ -56,6 +57,11 @@ class ReconstructionDetector(BatchDetector):
     def most_faults(self) -> int:
         """How many sensors are reconstructed at most."""
         return self.max_faults
+
+    def with_sensors_of(self, plant: Plant) -> Self:
+        """The detector itself: what it learnt from healthy readings stays; NotApplicableError for cyclic ones."""
+        require_no_cycles(plant, "limits and relations that are learnt from readings")
+        return self
 
     def _start(self, batch: tuple[int, ...], seed: int) -> LaggedReadings:
         return LaggedReadings(np.full((*batch, len(self.plant.sensors), self.model.lags), np.nan))

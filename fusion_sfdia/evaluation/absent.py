@@ -8,31 +8,35 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.regularity import equal_readings
+
 Array = NDArray[Any]
 
 DUE = 20  # readings in a row that are due: where half of them are missing, the sensor has dropped out
 REPEATED = 16  # equal readings in a row: with 8 pairs a test of quiet readings has power, see `kalman_banks.quiet`
 LONGER = 10  # times the usual number of equal readings in a row
 TWICE = 2  # times the largest number that healthy logs show
+CONTRADICTED, SHARE = 3.0, 0.1  # standard deviations; share of equal readings of a coarse sensor that are so far off
 
 
 def dropouts(y: Array) -> list[list[tuple[int, int]]]:
     """Return, for each sensor of y (K, N), the first and last index of each stretch in which at least half of the readings due
     are missing.
 
-    A sensor is due every p samples, p the median distance of its readings; of `DUE` readings due in a row half are missing, and
-    the stretch goes from the first sample that is overdue to the last. Of a sensor that misses a tenth of its readings at
-    random half of 20 are missing with a probability of 7e-6. Samples without any reading are a gap of the log and do not count.
+    A sensor is due every p samples, p the median distance of its readings (of those that differ); of `DUE` readings due in a
+    row half are missing, and the stretch goes from the first sample that is overdue to the last. Of a sensor that misses a
+    tenth of its readings at random half of 20 are missing with a probability of 7e-6. Samples without any reading are a gap of
+    the log and do not count.
     """
     known = np.isfinite(y)
     rows = np.flatnonzero(np.any(known, axis=1))
     found: list[list[tuple[int, int]]] = []
-    for column in known[rows].T:
+    for readings, column in zip(y[rows].T, known[rows].T, strict=True):
         at = np.flatnonzero(column)
         if at.size < 2:
             found.append([(0, len(y) - 1)] if at.size < column.size else [])
             continue
-        period = max(1, int(np.median(np.diff(at))))
+        period = _usual_distance(readings[at], at)
         width = min(DUE * period, column.size)
         read = np.concatenate([[0], np.cumsum(column)])
         few = read[width:] - read[:-width] <= width / period / 2  # of the window that begins here
@@ -49,6 +53,18 @@ def dropouts(y: Array) -> list[list[tuple[int, int]]]:
                 spans.append((int(rows[absent[0]]), int(rows[absent[-1]])))
         found.append(spans)
     return found
+
+
+def due(column: Array) -> Array:
+    """Where a reading of a sensor (K,), NaN where missing, is or should be: of one that reads every p-th sample, with p as in
+    `dropouts`, not in between.
+    """
+    at = np.flatnonzero(np.isfinite(column))
+    period = _usual_distance(column[at], at)
+    if period < 2:
+        return np.ones(column.size, bool)
+    last = np.maximum.accumulate(np.where(np.isfinite(column), np.arange(column.size), -1))
+    return np.asarray(np.isfinite(column) | (np.arange(column.size) - last >= 2 * period))
 
 
 def repeats(y: Array, healthy: Sequence[int] | None = None) -> list[list[tuple[int, int]]]:
@@ -68,13 +84,23 @@ def repeats(y: Array, healthy: Sequence[int] | None = None) -> list[list[tuple[i
     return found
 
 
-def equal_readings(column: Array) -> tuple[Array, Array, Array]:
-    """The positions of the readings of a sensor (K,), NaN where missing, and of each run of equal ones its start among them and
-    its length.
+def beyond_resolution(frozen: Sequence[list[tuple[int, int]]], z: Array, resolution: Array) -> list[list[tuple[int, int]]]:
+    """The stretches of equal readings that are no coarse sensor's: those of a sensor with a resolution (N,) only where what the
+    other sensors predict contradicts them; z (K, N): residuals without these readings, over their standard deviations.
     """
-    at = np.flatnonzero(np.isfinite(column))
-    starts = np.flatnonzero(np.diff(column[at], prepend=np.nan) != 0)
-    return at, starts, np.diff(starts, append=at.size)
+    with np.errstate(invalid="ignore"):
+        off = np.abs(z) > CONTRADICTED
+    return [
+        [(a, b) for a, b in stretches if not step or np.mean(off[a : b + 1, i]) > SHARE]
+        for i, (stretches, step) in enumerate(zip(frozen, resolution, strict=True))
+    ]
+
+
+def _usual_distance(readings: Array, at: Array) -> int:
+    """The median distance of readings at these positions that differ from the one before, of all where none does."""
+    apart = np.diff(at)
+    moved = np.diff(readings) != 0
+    return max(1, int(np.median(apart[moved] if moved.any() else apart))) if apart.size else 1
 
 
 def _runs(held: Array) -> list[tuple[int, int]]:

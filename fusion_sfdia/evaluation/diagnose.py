@@ -27,7 +27,7 @@ from fusion_sfdia.core.log import Log, one_run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.redundancy import redundancy
 from fusion_sfdia.core.verdicts import ALL_FAR, NO_THRESHOLDS, TOO_MANY, Conclusion, Verdict, far_off, judged, undecidable
-from fusion_sfdia.evaluation.absent import repeats
+from fusion_sfdia.evaluation.absent import beyond_resolution, repeats
 from fusion_sfdia.evaluation.events import (
     EVEN,
     LASTING,
@@ -60,7 +60,8 @@ class Diagnosis:
     come first, then what it cannot tell apart, then the sensors. clock: wall-clock times of the log. gaps: stretches without
     a row that the model was stepped through, or after which it started anew. health: whether the model fits; after: the
     residuals behind that and behind kinds and sizes, both None where an own Diagnosis does not state them. limit: that fewer
-    than half of the sensors can be isolated at once, and why; "" elsewhere.
+    than half of the sensors can be isolated at once, and why; "" elsewhere. of_log: what is regular in the readings of some
+    sensors and looks like a fault, in words.
     """
 
     events: tuple[Event, ...]
@@ -72,6 +73,7 @@ class Diagnosis:
     health: Health | None = None
     after: Residuals | None = None
     limit: str = ""
+    of_log: tuple[str, ...] = ()
 
     @property
     def state(self) -> Verdict:
@@ -126,7 +128,7 @@ class Diagnosis:
         """What limits the detector, where that is less than half of the sensors, the sensors that were off already before the
         log, and its first gaps, a line each.
         """
-        lines = [self.limit] if self.limit else []
+        lines = [*([self.limit] if self.limit else []), *self.of_log]
         lines += [
             f"{name} is off throughout, since before the log: check its unit and the inputs first"
             for name in dict.fromkeys(throughout(self.events, self.t))
@@ -232,6 +234,8 @@ def diagnose_run(
         look = hindsight(model if isinstance(model, Plant) else detector.plant, track, out, each)
     starts = np.flatnonzero(np.isfinite(track.begins[track.own]))
     health, after = health_of(detector.plant.sensor_names, look, starts, alarm_rate_of(detector), ()), look.residuals
+    with np.errstate(invalid="ignore", divide="ignore"):
+        frozen = beyond_resolution(frozen, after.error / after.sd, detector.plant.sensor_resolution)
     del look, track, out  # of a long log as much memory as its readings, twice
     events = explained(detector, t, y, decisions, events_of(detector, t, decisions, gap), after, frozen)
     events = tuple(e for e in events if e.kind != "sensor" or e.hypothesis not in unread)

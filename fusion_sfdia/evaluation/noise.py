@@ -43,7 +43,7 @@ def sensor_noise(sensors: tuple[Sensor, ...], seeds: tuple[int, ...], steps: int
     """Noise (K, B, N) of the readings."""
     uniform = np.stack([_unit(stream(s, "measurement noise"), (steps, len(sensors))) for s in seeds], axis=1)
     sigma = np.array([np.inf if s.sigma is None else s.sigma for s in sensors])
-    return _quantile(uniform, sigma, np.array([s.noise_bound for s in sensors]))
+    return _quantile(uniform, sigma, np.array([np.inf if s.bound is None else s.bound for s in sensors]))
 
 
 class ProcessNoise:

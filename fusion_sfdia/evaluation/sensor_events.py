@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from fusion_sfdia.core.detector import Decision, Detector, chosen
-from fusion_sfdia.evaluation.absent import dropouts
+from fusion_sfdia.evaluation.absent import dropouts, due
 from fusion_sfdia.evaluation.events import Event
 from fusion_sfdia.evaluation.fault_kinds import POSSIBLE, Named, name, resized
 from fusion_sfdia.evaluation.hindsight_steps import Residuals
@@ -59,6 +59,7 @@ def explained(
         held = np.zeros(len(t), bool)
         for a, b in spans:
             held[a : b + 1] = True
+        expected = due(y[:, i])
         pairs = np.diff(y[~held & np.isfinite(y[:, i]), i])
         still = pairs.size > 0 and bool(np.mean(pairs == 0) > STILL)
         mine = []
@@ -66,7 +67,9 @@ def explained(
             a, b = spans[first][0], spans[last][1]
             part = slice(a, b + 1)
             over = b < len(t) - 1
-            named = name(after.error[part, i], after.sd[part, i], sensor.noise_sigma, y[part, i], still=still, over=over)
+            named = name(
+                after.error[part, i], after.sd[part, i], sensor.noise_sigma, y[part, i][expected[part]], still=still, over=over
+            )
             for e, (k, end) in zip(own[first : last + 1], spans[first : last + 1], strict=True):
                 only = slice(k, end + 1)
                 of_it = resized(named, after.error[only, i], after.sd[only, i], sensor.noise_sigma)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.arguments import floats
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import require_seeds, stream
+from fusion_sfdia.core.signals import Sensor
 from fusion_sfdia.evaluation.noise import ProcessNoise, sensor_noise, square_root
 
 Array = NDArray[Any]
@@ -129,7 +130,7 @@ def simulate(
     return Recording(
         t=t,
         u=u,
-        y=signal + noise,
+        y=_rounded(source.sensors, signal + noise),
         signal=signal,
         x=states,
         seeds=seeds,
@@ -217,3 +218,11 @@ def _require_inside(source: Plant, x: Array, seeds: tuple[int, ...], t: float) -
         f"seed {seeds[b]} left the limits of {source.name!r} at {t:g} s: {state.name} = {x[b, 0, i]:g} {state.unit}, limits "
         f"[{state.low:g}, {state.high:g}]; make inputs or start milder, lower the process noise, or widen the limits"
     )
+
+
+def _rounded(sensors: Sequence[Sensor], y: Array) -> Array:
+    """Readings (K, B, N) as sensors with a resolution show them."""
+    for i, sensor in enumerate(sensors):
+        if sensor.resolution:
+            y[..., i] = sensor.resolution * np.rint(y[..., i] / sensor.resolution)
+    return y

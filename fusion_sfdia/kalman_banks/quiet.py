@@ -2,7 +2,8 @@
 
 Half the squared difference of two successive readings over the variance of the noise is at least chi-square distributed with 1
 degree of freedom, more where the measured variable changes. The sum over pairs that share no reading is therefore below the
-lower quantile of the chi-square distribution with at most its probability. A constant reading has the sum 0.
+lower quantile of the chi-square distribution with at most its probability. A constant reading has the sum 0. What a sensor
+with a resolution reads may have changed by that more than its readings have.
 """
 
 from __future__ import annotations
@@ -33,23 +34,23 @@ def no_pairs(batch: tuple[int, ...], sensors: int) -> Pairs:
     return Pairs(np.full((*batch, sensors), np.nan), np.full((*batch, PAIRS, sensors), np.inf))
 
 
-def paired(now: Pairs, y: Array, sigma: Array) -> Pairs:
-    """Add the readings y (..., N), NaN where missing; sigma (N,) of their noise."""
+def paired(now: Pairs, y: Array, sigma: Array, resolution: Array) -> Pairs:
+    """Add the readings y (..., N), NaN where missing; sigma (N,) of their noise, resolution (N,) 0 for none."""
     N = y.shape[-1]
     first, squares = _paired(
-        plain(now.first.reshape(-1, N)), plain(now.squares.reshape(-1, PAIRS, N)), plain(y.reshape(-1, N)), sigma
+        plain(now.first.reshape(-1, N)), plain(now.squares.reshape(-1, PAIRS, N)), plain(y.reshape(-1, N)), sigma, resolution
     )
     return Pairs(first.reshape(y.shape), squares.reshape(now.squares.shape))
 
 
 @compiled
-def _paired(first: Array, squares: Array, y: Array, sigma: Array) -> tuple[Array, Array]:
+def _paired(first: Array, squares: Array, y: Array, sigma: Array, resolution: Array) -> tuple[Array, Array]:
     """The same of B runs."""
     after, shifted = np.empty(y.shape), squares.copy()
     for r in range(y.shape[0]):
         for i in range(y.shape[1]):
             after[r, i] = y[r, i]
-            change = y[r, i] - first[r, i]
+            change = abs(y[r, i] - first[r, i]) + resolution[i]
             square = change * change / (2 * (sigma[i] * sigma[i]))
             if np.isfinite(square):
                 after[r, i] = np.nan

@@ -200,7 +200,7 @@ class RobustBank(ExcludingBank):
         last = last_update(step, gain, restart)
         recent, slow = (updated(w, restart) for w in (tested.recent, tested.slow))
 
-        pairs = paired(pairs, y, self.plant.sensor_sigma)
+        pairs = paired(pairs, y, self.plant.sensor_sigma, self.plant.sensor_resolution)
         quiet = too_quiet(pairs, QUIET_SHARE * self.false_alarm / count)
         quiet = quiet & ~unexplained[..., None]
         if quiet.any():

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import Decision, Detector, stack
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.absent import DUE, REPEATED, repeats
+from fusion_sfdia.evaluation.absent import DUE, REPEATED, beyond_resolution, repeats
 from fusion_sfdia.evaluation.diagnose import against_the_model
 from fusion_sfdia.evaluation.events import Event, events_of, spans
 from fusion_sfdia.evaluation.hindsight import LEAD, looked
@@ -196,7 +196,9 @@ class SecondLook:
         decisions = stack([s.decision for s in rows])
         after = Hindsight(*(np.array(v) for v in zip(*(s.after for s in rows if s.after is not None), strict=True)))
         first = events_of(self.detector, t, decisions, self.gap)
-        found = explained(self.detector, t, y, decisions, first, after.residuals, repeats(y))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            frozen = beyond_resolution(repeats(y), after.error / after.sd, self.detector.plant.sensor_resolution)
+        found = explained(self.detector, t, y, decisions, first, after.residuals, frozen)
         names = self.detector.plant.sensor_names
         events = [e for e in found if e.kind != "sensor" or self.read[names.index(e.hypothesis)]]
         starts = np.flatnonzero(np.isfinite([s.begins for s in rows]))

@@ -11,6 +11,7 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.logs.findings import LoadedLog
 from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.logs.reading import load_log
+from fusion_sfdia.logs.regularity import regularities
 from fusion_sfdia.logs.suspects import suspected_units
 
 
@@ -41,14 +42,19 @@ def check_log(
 
 
 def checked(plant: Plant, found: LoadedLog) -> LoadedLog:
-    """A log that has been read with the findings on units."""
-    return found._replace(findings=(*found.findings, *suspected_units(plant, found.log)))
+    """A log that has been read with the findings on units, and on sensors that are slow, coarse or cyclic."""
+    regular = regularities(plant, found.log)
+    more = (*suspected_units(regular.of(plant), found.log), *regular.findings(plant))
+    return found._replace(findings=(*found.findings, *more))
 
 
 def without_suspects(plant: Plant, found: LoadedLog) -> LoadedLog:
-    """The log with the readings missing whose unit is suspected wrong: what they show is no fault of the sensor."""
-    if not found.suspects:
-        return found
-    y = found.log.y.copy()
-    y[:, np.isin(plant.sensor_names, found.suspects)] = np.nan
-    return found._replace(log=found.log._replace(y=y))
+    """The log with the readings missing whose unit is suspected wrong, and those that only repeat the one before, since a new
+    one comes every few rows: what they show is no fault of the sensor.
+    """
+    log = regularities(plant, found.log).without_repeats(found.log)
+    if found.suspects:
+        y = log.y.copy()
+        y[:, np.isin(plant.sensor_names, found.suspects)] = np.nan
+        log = log._replace(y=y)
+    return found if log is found.log else found._replace(log=log)

@@ -12,7 +12,7 @@ from fusion_sfdia.logs.columns import Source
 # what changes or questions the readings; the other kinds describe the log
 REMARKABLE = (
     "bad", "duplicates", "future", "held", "input unit suspected", "inputs shifted", "left out", "masked", "no date",
-    "nominal inputs", "order", "quality", "time unit suspected", "unit suspected", "zone",
+    "nominal inputs", "order", "period", "quality", "repeat", "resolution", "time unit suspected", "unit suspected", "zone",
 )  # fmt: skip
 MISREAD = ("future", "time unit suspected")  # the times are not those of the log
 MOST_OF_A_KIND = 2
@@ -64,7 +64,7 @@ class LoadedLog(NamedTuple):
         lines: list[str] = []
         for kind in dict.fromkeys(f.kind for f in self.findings if f.kind in REMARKABLE):
             texts = [f.text for f in self.findings if f.kind == kind]
-            more = len(texts) - MOST_OF_A_KIND if kind in ("bad", "held", "quality") else 0
+            more = len(texts) - MOST_OF_A_KIND if kind in ("bad", "held", "quality", "repeat", "resolution") else 0
             lines += texts if more < 2 else [*texts[:-more], f"and {more} more such remarks, which check-log lists"]
         return tuple(lines)
 

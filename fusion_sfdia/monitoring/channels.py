@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.log import Log
+from fusion_sfdia.core.regularity import equal_readings
 from fusion_sfdia.core.signals import Signal
-from fusion_sfdia.evaluation.absent import equal_readings, repeats
+from fusion_sfdia.evaluation.absent import repeats
 from fusion_sfdia.evaluation.events import Event
 from fusion_sfdia.identification.autoregression import autoregression
 from fusion_sfdia.identification.choice import RIDGE

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import sys
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from textwrap import fill
@@ -26,6 +26,7 @@ from fusion_sfdia.logs.csv_log import write_lines, write_log
 from fusion_sfdia.logs.findings import LoadedLog
 from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.logs.plain import plain_lines, shortened
+from fusion_sfdia.logs.regularity import regularities
 from fusion_sfdia.report.figure_files import write_figure
 from fusion_sfdia.report.log_figures import broken, process_size, thinned, time_axis, time_line
 from fusion_sfdia.report.log_page import About, write_page
@@ -51,13 +52,16 @@ def diagnose_log(
     force: bool = False,
     held: bool = False,
     detector_name: str = "",
+    build: Callable[[Plant], Detector] | None = None,
 ) -> Diagnosis:
     """Diagnose a log with a detector and write FILES into the folder `out`; detector_name: for the report.
 
     A bar shows the progress on a terminal.
 
     log_map: how the log is written, see `load_log`. read: what `load_log` has found, where it was called already. Sensors whose
-    unit looks wrong are taken as missing: that is no fault. held: whether the caller has `locked` the folder.
+    unit looks wrong, and readings that only repeat the one before, are taken as missing: that is no fault. build: makes the
+    detector anew where readings of sensors are found to be coarse or cyclic, by default itself. held: whether the caller has
+    `locked` the folder.
     Raises ValueError naming the file where the log does not fit (see load_log), and where the folder is not free or another
     process writes into it; warns of what reading the log found, and as `diagnose_run` does.
     """
@@ -67,6 +71,7 @@ def diagnose_log(
         loaded = check_log(data, plant, log_map, **given) if read is None else checked(plant, read)
         for remark in loaded.brief:
             warnings.warn(f"{data}: {remark}", stacklevel=2)
+        detector = regularities(plant, loaded.log).detector(detector, build)
         log = without_suspects(plant, loaded).log
         try:
             found = diagnose_run(detector, log, clock=loaded.clock, each=progress, unread=(*loaded.absent, *loaded.suspects))

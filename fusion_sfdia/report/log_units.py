@@ -35,8 +35,12 @@ class LogUnits:
             s, title = sensors[c.position], split_title(c.title)[0]
             name = self.names[c.name] = c.name if title == c.name else f"{c.name} ({title})"
             self.factor[c.position], self.offset[c.position] = conversion(c.unit, s.unit)
-            sigma, bound, period = (v and v / abs(self.factor[c.position]) for v in (s.sigma, s.bound, s.period))
-            sensors[c.position] = replace(s, name=name, unit=c.unit or s.unit, sigma=sigma, bound=bound, period=period)
+            sigma, bound, period, step = (
+                v and v / abs(self.factor[c.position]) for v in (s.sigma, s.bound, s.period, s.resolution)
+            )
+            sensors[c.position] = replace(
+                s, name=name, unit=c.unit or s.unit, sigma=sigma, bound=bound, period=period, resolution=step or 0.0
+            )
         self.same = bool(np.all(self.factor == 1) and np.all(self.offset == 0))  # then nothing is copied
         self.own = plant.sensor_names
         self.plant = replace(plant, sensors=tuple(sensors))  # names, units and noise alone: its output is the plant's

@@ -20,7 +20,7 @@ def flags(y: Array, false_alarm: float, sigma: Array = SIGMA) -> Array:
     pairs = no_pairs(y.shape[1:-1], y.shape[-1])
     found = []
     for reading in y:
-        pairs = paired(pairs, reading, sigma)
+        pairs = paired(pairs, reading, sigma, np.zeros(len(sigma)))
         found.append(too_quiet(pairs, false_alarm))
     return np.array(found)
 
@@ -74,7 +74,7 @@ def test_a_missing_reading_ends_its_pair_and_changes_nothing_else() -> None:
     gaps[11] = np.nan  # a second one, after 10 began a pair (7 and 8, 9 and 10: 11 begins one)
     pairs = no_pairs((3,), 2)
     for reading in gaps:
-        pairs = paired(pairs, reading, SIGMA)
+        pairs = paired(pairs, reading, SIGMA, np.zeros_like(SIGMA))
     kept, first, squares = list(gaps), None, []
     for reading in kept:
         if first is None or np.isnan(first).any():
@@ -85,7 +85,8 @@ def test_a_missing_reading_ends_its_pair_and_changes_nothing_else() -> None:
             squares.append((reading - first) ** 2 / (2 * SIGMA**2))
             first = None
     np.testing.assert_array_equal(pairs.squares, np.stack(squares[: -PAIRS - 1 : -1], axis=1))
-    still = paired(paired(no_pairs((), 1), np.ones(1), np.ones(1)), np.full(1, np.nan), np.ones(1))
+    none = np.zeros(1)
+    still = paired(paired(no_pairs((), 1), np.ones(1), np.ones(1), none), np.full(1, np.nan), np.ones(1), none)
     assert np.isinf(still.squares).all() and not too_quiet(still, 0.5).any()
     never = flags(np.full((60, 1, 2), np.nan), 0.5)
     assert not never.any()
