@@ -135,6 +135,14 @@ def test_remarks_stay_few_however_many_there_are() -> None:
     for k in range(1, 5001):
         remarks(f"{k}")
     assert said == [*map(str, range(1, 11)), *(f"{n} (the {n}th such line; others are not shown)" for n in (100, 1000))]
+    for name in ("l1", "l2"):  # is not hidden by what was said before
+        remarks(f"topic {name}: payload '{len(said)}': no number")
+    for k in range(2, 100):
+        remarks(f"topic 7: payload 'it\\'s {k}': no number at 14:00:{k}")
+    assert len(said) == 24 and remarks.count == 5100
+    for k in range(5000):  # kinds without end stay few in memory
+        remarks("x" * (k % 200) + "y" * (k // 200))
+    assert len(remarks.kinds) <= 1001 and remarks.count == 10_100
 
 
 @pytest.mark.parametrize("longest", [6, 10, 1000])
