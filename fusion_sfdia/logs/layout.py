@@ -29,6 +29,8 @@ def wide_rows(
 ) -> Laid:
     """A table with a column for each sensor and input; columns that cannot be read are added to problems, and left out."""
     sources = find_sources(problems, table.titles, table.units, plant, log_map, **allowed)
+    needed = [*sources.times, *(c.title for c in sources.columns if c.is_input and not log_map.hold)]
+    table = table.with_cells_of(needed)
     if sources.columns or sources.refused:
         with problems.collecting("rows"):
             table.require_rows()
@@ -68,6 +70,7 @@ def long_rows(
         table.require_rows()
     if log_map.tag not in table.titles or log_map.value not in table.titles or not len(table.rows):
         problems.require_none()
+    table = table.with_cells_of([title for title in needed if title in table.titles])
     tags = [str(tag).strip() for tag in table.column(log_map.tag)]
     names = list(dict.fromkeys(tags))
     sources = find_sources(problems, names, [""] * len(names), plant, log_map, **allowed)

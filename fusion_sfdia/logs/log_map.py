@@ -68,8 +68,9 @@ class LogMap:
     "excel", "labview", "matlab", "julian", "filetime", "ticks"; "" recognises ISO 8601, seconds, and numbers that are seconds,
     milli-, micro- or nanoseconds since 1970, days, or digits of the calendar. tz: time zone of stamps that state none, and in
     which results are shown: a name, or an offset from UTC such as "+01:00" of a logger without summer time. separator, decimal,
-    thousands, encoding, preamble (lines before the header), unit_row (whether the row below the header holds units), footer
-    (rows at the end that are no readings): of a text file.
+    thousands, encoding, preamble (lines before the header), unit_row (whether the row below the header holds units), skip_rows
+    (rows below these that are no readings), footer (such rows at the end), comment (what a line begins with that is a comment):
+    of a text file. sheet: of a workbook that has several.
 
     bad: texts or numbers that stand for a missing reading. quality: pattern of the titles of quality columns, as in
     "{column}.Q"; of a long format the title of its one. good: the codes that make a value count, "opc-da" or "opc-ua" for
@@ -90,7 +91,10 @@ class LogMap:
     encoding: str = "utf-8-sig"
     preamble: int = 0
     unit_row: bool = False
+    skip_rows: int = 0
     footer: int = 0
+    comment: str = ""
+    sheet: str = ""
     bad: tuple[str | float, ...] = ()
     quality: str = ""
     good: str | tuple[str | float, ...] = ()
@@ -108,7 +112,9 @@ class LogMap:
             object.__setattr__(self, what, _listed(what, getattr(self, what)))
         if not isinstance(self.good, str):
             object.__setattr__(self, "good", _listed("good", self.good))
-        _require_texts("the map", self, ("format", "tz", "separator", "encoding", "quality", "tag", "value", *CHOICES))
+        _require_texts(
+            "the map", self, ("format", "tz", "separator", "encoding", "comment", "sheet", "quality", "tag", "value", *CHOICES)
+        )
         for what in ("time", "mask"):
             if not all(isinstance(text, str) and text for text in getattr(self, what)):
                 raise ValueError(f"{what} is {shown(getattr(self, what))}; expected a text or several")
@@ -132,7 +138,7 @@ class LogMap:
             raise ValueError(f'separator is {self.separator!r}; expected one character, as in ";" or "\\t"')
         if self.decimal == self.thousands:
             raise ValueError(f"decimal and thousands are both {self.decimal!r}; give each its own")
-        for what in ("preamble", "footer"):
+        for what in ("preamble", "skip_rows", "footer"):
             whole(what, getattr(self, what), 0)
         if not isinstance(self.unit_row, bool):
             raise ValueError(f"unit_row is {shown(self.unit_row)}; expected true or false")

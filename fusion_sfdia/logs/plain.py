@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 import io
 import math
-from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
@@ -19,36 +18,45 @@ from numpy.typing import NDArray
 Array = NDArray[Any]
 
 BLOCK = 1 << 18  # bytes, of which the numbers take twenty times as much memory while they are read
+TAIL = 1 << 15  # bytes that show how the last cells are written
+LONGEST = 1_000_000  # bytes of a line
 ALLOWED = b"0123456789+-.eE,\n"
 TENS = np.array([float(f"1e{k}") for k in range(23)])  # all powers of ten that are floating-point numbers
 
 
-def plain_table(path: Path) -> tuple[list[str], Array] | None:
+def plain_table(file: IO[bytes]) -> tuple[list[str], Array] | None:
     """Return titles and numbers (K, columns), NaN in empty cells, each column of them in one piece; None for a file that needs
     a closer look.
 
     That is one with other characters below the header than those of numbers, a row of another length than the header, an empty
     row, or a cell that is no finite number: `tables` names what is wrong.
     """
-    with path.open("rb") as opened:
-        file = opened if opened.seekable() else io.BytesIO(opened.read())  # a pipe is read once
-        try:
-            header = next(csv.reader([file.readline().decode("utf-8-sig")], strict=True))
-        except (UnicodeError, csv.Error, StopIteration):
+    try:
+        header = next(csv.reader([file.readline(LONGEST).decode("utf-8-sig")], strict=True))
+    except (UnicodeError, csv.Error, StopIteration):
+        return None
+    titles, rest, count = [title.strip() for title in header], b"", 0
+    if len(titles) < 2 or not all(titles):
+        return None
+    columns = np.empty((len(titles), _lines_below(file)))
+    while block := file.read(BLOCK) or (rest and b"\n"):  # the last line may lack its end
+        text = rest + block
+        whole, end, rest = (text.replace(b"\r\n", b"\n") if b"\r" in text else text).rpartition(b"\n")
+        if end:
+            if (rows := _rows(whole, len(titles))) is None:
+                return None
+            columns[:, count : count + len(rows)] = rows.T
+            count += len(rows)
+        elif len(rest) > LONGEST:
             return None
-        titles, rest, count = [title.strip() for title in header], b"", 0
-        if len(titles) < 2 or not all(titles):
-            return None
-        columns = np.empty((len(titles), _lines_below(file)))
-        while block := file.read(BLOCK) or (rest and b"\n"):  # the last line may lack its end
-            text = rest + block
-            whole, end, rest = (text.replace(b"\r\n", b"\n") if b"\r" in text else text).rpartition(b"\n")
-            if end:
-                if (rows := _rows(whole, len(titles))) is None:
-                    return None
-                columns[:, count : count + len(rows)] = rows.T
-                count += len(rows)
     return (titles, columns[:, :count].T) if count else None
+
+
+def last_rows(file: IO[bytes]) -> list[str]:
+    """The last lines below the header of such a file, the last of them "" where it has its end."""
+    size = file.seek(0, io.SEEK_END)
+    file.seek(max(size - TAIL, 0))
+    return file.read().decode("ascii", "replace").replace("\r\n", "\n").split("\n")[1:]
 
 
 def plain_lines(values: Array) -> list[str]:

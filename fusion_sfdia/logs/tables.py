@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-import csv
 import io
-import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import MappingProxyType
+from typing import IO, Any, NamedTuple
 
 from fusion_sfdia.core.arguments import shown, some
 from fusion_sfdia.core.detector import MissingPackageError
+from fusion_sfdia.logs.delimited import Cells, listed, read_text
 from fusion_sfdia.logs.findings import Finding
+from fusion_sfdia.logs.kinds import ARROW, MDF, PACKED, PARQUET, TDMS, TEXT, WORKBOOK, kind_of, unpacked
 from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap
-from fusion_sfdia.logs.plain import plain_table
-
-PARQUET = (".parquet", ".pq")
+from fusion_sfdia.logs.plain import last_rows, plain_table
+from fusion_sfdia.logs.ragged import cut_row, is_cut, rectangle
+from fusion_sfdia.logs.recordings import by_time, read_channels
+from fusion_sfdia.logs.workbooks import sheet_rows
 
 
 class Table(NamedTuple):
     """Cells of a log, before they are numbers: where they are from, titles, columns by position, and the number of each row.
 
     units: of the columns, from a row below the header, or "". findings: on how the file was read, and what was left out.
+    short: how many cells each row had, by number, that ended before its last column.
     """
 
     where: str
@@ -30,6 +33,7 @@ class Table(NamedTuple):
     rows: Sequence[int]
     units: list[str]
     findings: tuple[Finding, ...] = ()
+    short: Mapping[int, int] = MappingProxyType({})
 
     def column(self, title: str) -> Any:
         return self.columns[self.titles.index(title)]
@@ -37,7 +41,21 @@ class Table(NamedTuple):
     def require_rows(self) -> None:
         """Raise ValueError for a header alone."""
         if not len(self.rows):
-            raise ValueError(f"{self.where} has a header and no rows; expected at least one reading")
+            gone = [f.text for f in self.findings if f.kind == "rows left out"]
+            why = f" that can be used ({'; '.join(gone)})" if gone else ""
+            raise ValueError(f"{self.where} has a header and no rows{why}; expected at least one reading")
+
+    def with_cells_of(self, titles: Iterable[str]) -> Table:
+        """The table without the rows that ended before one of these columns, which it cannot do without."""
+        last = max((self.titles.index(title) for title in titles), default=-1)
+        kept = [k for k, n in enumerate(self.rows) if self.short.get(n, last + 1) > last] if self.short else None
+        if kept is None or len(kept) == len(self.rows):
+            return self
+        gone = [n for n in self.rows if self.short.get(n, last + 1) <= last]
+        text = f"{listed(gone)} left out, which end before the column {shown(self.titles[last])}"
+        columns = [[column[k] for k in kept] for column in self.columns]
+        findings = (*self.findings, Finding("rows left out", "", len(gone), text))
+        return self._replace(columns=columns, rows=[self.rows[k] for k in kept], findings=findings)
 
     def text(self, position: int) -> str:
         """A row for an error: "log.csv, row 3"."""
@@ -50,97 +68,86 @@ def is_frame(data: object) -> bool:
 
 
 def read_table(source: Any, log_map: LogMap) -> Table:
-    """Return the table of a pandas frame, or of a file: Parquet by its suffix, otherwise CSV. ValueError naming the file."""
+    """Return the table of a pandas frame or of a file, whose kind its first bytes show. ValueError naming the file.
+
+    A file is CSV or other delimited text, Parquet, Arrow, an Excel workbook, TDMS or MDF, and may be compressed.
+    """
     if is_frame(source):
         return _of_frame("the frame", source, log_map)
     path = Path(source)
-    if path.suffix.casefold() in PARQUET:
-        return _of_frame(str(path), _parquet(path), log_map)
-    plain = plain_numbers(path) if log_map == PLAIN_MAP else None
-    return _of_text(path, log_map) if plain is None else plain
+    where, suffix = str(path), path.suffix.casefold()
+    with path.open("rb") as opened:
+        file: IO[bytes] = opened if opened.seekable() else io.BytesIO(opened.read())  # a pipe is read once
+        kind = kind_of(file, suffix)
+        if kind.name in (*PACKED, "zip"):
+            file = unpacked(where, file, kind)
+            kind = kind_of(file, suffix)
+        if kind.name == PARQUET or suffix in (".parquet", ".pq"):
+            return _of_frame(where, _parquet(where, file), log_map)
+        if kind.name == ARROW:
+            return _of_frame(where, _parquet(where, file, "feather"), log_map)
+        if kind.name in (TDMS, MDF):
+            return _of_recording(where, file, kind.name, log_map)
+        if kind.name == WORKBOOK:
+            return _of_rows(where, sheet_rows(where, file, log_map), log_map)
+        if kind.name != TEXT:
+            raise ValueError(f"{where} is {kind.name}; {kind.cure or 'unpack it'}")
+        plain = plain_numbers(where, file) if log_map == PLAIN_MAP else None
+        if plain is not None:
+            return plain
+        file.seek(0)
+        return _of_rows(where, read_text(where, file.read(), log_map), log_map)
 
 
-def plain_numbers(path: Path) -> Table | None:
+def plain_numbers(where: str, file: IO[bytes]) -> Table | None:
     """The table of a CSV file that has nothing but plain numbers below its header, see `plain_table`; else None."""
-    if (found := plain_table(path)) is None:
+    if (found := plain_table(file)) is None:
         return None
     titles, values = found
-    return Table(str(path), _titles(str(path), titles), list(values.T), range(2, len(values) + 2), [""] * len(titles))
+    findings: list[Finding] = []
+    if (end := last_rows(file)) and end[-1]:  # without a line end: a row that may be cut off
+        last = end.pop().split(",")
+        if is_cut(last[-1], [line.rpartition(",")[2] for line in end]):
+            findings.append(cut_row(len(values) + 1))
+            values = values[:-1]
+    rows = range(2, len(values) + 2)
+    return Table(where, _titles(where, titles), list(values.T), rows, [""] * len(titles), tuple(findings))
 
 
-def _of_text(path: Path, log_map: LogMap) -> Table:
-    """The rows of a CSV file; lines without any cell are left out.
-
-    The standard reader splits them, since pandas fills short rows without a word and joins what follows a closing quote.
-    """
-    try:
-        with path.open(encoding=log_map.encoding, newline="") as file:
-            lines = io.StringIO(file.read(), newline="")
-    except UnicodeError as error:
-        cure = "give the encoding in a map, or export as UTF-8"
-        if path.suffix.casefold() in (".xls", ".xlsx", ".gz", ".zip"):
-            cure = "save a workbook as CSV, and unpack an archive"
-        raise ValueError(f"{path} is not a CSV text file in {log_map.encoding} ({error}); {cure}") from error
-    for _ in range(log_map.preamble):
-        lines.readline()
-    reader = csv.reader(lines, strict=True, delimiter=log_map.separator)
-    try:
-        rows = [(n, row) for n, row in enumerate(reader, start=log_map.preamble + 1) if any(c.strip() for c in row)]
-    except csv.Error as error:
-        raise ValueError(
-            f"{path} is not a CSV text file ({error}, line {log_map.preamble + reader.line_num}); expected text as `simulate` "
-            "writes it"
-        ) from error
-    rows = rows[: max(len(rows) - log_map.footer, 1)]
-    if not rows:
-        raise ValueError(f"{path} is empty; expected a header: the time and the sensors of the plant")
-    if not rows[0][1][-1].strip() and not any(row[-1].strip() for _, row in rows if len(row) == len(rows[0][1])):
-        width = len(rows[0][1])  # lines that end in a separator
-        rows = [(n, row[:-1] if len(row) == width else row) for n, row in rows]
-    titles = _titles(str(path), [c.strip() for c in rows[0][1]])
-    width, below = len(titles), rows[1:]
-    for i, (n, row) in enumerate(below):
-        if len(row) != width:
-            cure = _cure_of_width(rows[: i + 2], log_map)
-            raise ValueError(f"{path}, row {n}: {len(row)} cells under a header of {width}; {cure}")
-    units = [""] * width
-    if log_map.unit_row and below:
-        units, below = [c.strip().strip("[]") for c in below[0][1]], below[1:]
-        if any(re.fullmatch(r"[+-]?\d+[.,]\d*", unit) for unit in units):
-            raise ValueError(f"{path}: the row below the header holds numbers, no units; leave unit_row out of the map")
-    return Table(str(path), titles, [[row[i] for _, row in below] for i in range(width)], [n for n, _ in below], units)
+def _of_rows(where: str, cells: Cells, log_map: LogMap) -> Table:
+    """The table of rows of a text file or sheet, the first of which is the header."""
+    if not cells.rows:
+        raise ValueError(f"{where} is empty; expected a header: the time and the sensors of the plant")
+    findings = [*cells.findings]
+    found = rectangle(where, cells, log_map, findings)
+    columns = [[row[i] for _, row in found.rows] for i in range(len(found.titles))]
+    rows = [n for n, _ in found.rows]
+    return Table(where, _titles(where, found.titles), columns, rows, found.units, tuple(findings), found.short)
 
 
-def _cure_of_width(rows: list[tuple[int, list[str]]], log_map: LogMap) -> str:
-    """What fits rows of which the last is not as wide as the first: another separator, or lines before the header."""
-    empty, (begin, header), (n, last) = "leave a missing reading's cell empty", rows[0], rows[-1]
-    if len(header) > 2 or len(last) < len(header):
-        return empty
-    counts = [
-        (log_map.separator.join(row).count(mark), -k, mark) for k, row in rows for mark in ";\t|," if mark != log_map.separator
-    ]
-    count, k, mark = max(counts)  # of the first row with the most of them, the header
-    found = [f'separator = "{mark}"'.replace("\t", "\\t")] if count > 1 else []
-    lines = (-k if found else n) - 1
-    if lines >= begin:
-        found.append(f"preamble = {lines}, the lines before the header")
-    return f"state in a map {' and '.join(found)}, or {empty}" if found else empty
-
-
-def _parquet(path: Path) -> Any:
+def _of_recording(where: str, file: IO[bytes], kind: str, log_map: LogMap) -> Table:
+    """The channels of a TDMS or MDF file, with a row for each of their times."""
     import pandas
 
-    with path.open("rb"):
-        pass  # an OSError that names the file
+    titles, columns, units, findings = by_time(where, read_channels(where, file, kind, log_map), log_map)
+    stamps = columns[0].dtype.kind == "M"
+    times = pandas.Series(columns[0]).dt.tz_localize("UTC") if stamps else columns[0]
+    rows = range(1, len(times) + 1)
+    return Table(where, _titles(where, titles), [times, *columns[1:]], rows, units, tuple(findings))
+
+
+def _parquet(where: str, file: IO[bytes], form: str = "parquet") -> Any:
+    import pandas
+
     try:
-        return pandas.read_parquet(path, engine="pyarrow")
+        return pandas.read_feather(file) if form == "feather" else pandas.read_parquet(file, engine="pyarrow")
     except ImportError as error:
         raise MissingPackageError(
             "a Parquet log needs pyarrow, which is not installed; install fusion-sfdia[parquet], or export the log as CSV"
         ) from error
     except Exception as error:  # pyarrow raises errors of many kinds for files that are none
         raise ValueError(
-            f"{path} is not a Parquet file ({shown(str(error))}); expected one, or name a CSV file .csv"
+            f"{where} is not a Parquet file ({shown(str(error))}); expected one, or name a CSV file .csv"
         ) from error
 
 

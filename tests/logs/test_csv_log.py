@@ -91,8 +91,6 @@ def test_absent_sensors_and_other_columns_when_allowed(tmp_path):
         (" \n\n", "is empty; expected a header"),
         (HEADER + "\n", "a header and no rows"),
         ("t,l1,l2,q12,q2\n" + ROW, "no column 'time'"),
-        ("time;l1;l2;q12;q2\n1;1;1;1;1", "cells are separated by ';'; expected commas"),
-        ("time [s]\tl1\n1\t1", "cells are separated by '\\\\t'; expected commas"),
         ("t" * 200 + "\n1", f"no column 'time' among '{'t' * 20}...'; give the column"),
         (HEADER.replace("l1", "l1 [mbar]") + "\n" + ROW, "column 'l1' is in 'mbar', plant 'two-tanks' has it in 'm': unit"),
         (HEADER.replace("l2", "l1") + "\n" + ROW, "the column 'l1' occurs twice"),
@@ -102,7 +100,7 @@ def test_absent_sensors_and_other_columns_when_allowed(tmp_path):
         (HEADER + "\n1,1.0,１２,1,1", "row 2, column l2: '１２'; expected a finite number"),
         (HEADER + "\n1,1.0," + 5000 * "x" + ",1,1", r"row 2, column l2: 'x{56}\.\.\.; expected a finite number"),
         (HEADER.replace("l1", f"l1 [{5000 * 'm'}]") + "\n" + ROW, r"column 'l1' is in 'm{56}\.\.\., plant"),
-        (HEADER + "\n1,1.0,1,1", "row 2: 4 cells under a header of 5"),
+        (HEADER + "\n1,1.0,1,1", r"a header and no rows that can be used \(the last row \(2\), which is cut off, left out\)"),
         (
             HEADER + "\n1/5/2024 12:00,1.0,1,1,1",
             'column time: .*; expected a time without ambiguity: state format = "%d/%m/%Y %H:%M" or format = "%m/%d/%Y',
@@ -138,7 +136,7 @@ def test_a_long_list_of_names_is_cut(tmp_path):
 
 def test_bytes_that_are_no_text(tmp_path):
     path = tmp_path / "log.csv"
-    path.write_bytes(b"\xff\xfe\x00\x80")
+    path.write_bytes(b"time,l1\n\xff\x80\x81,1\n\xff\x80\x81,2\n")
     with pytest.raises(ValueError, match="not a CSV text file"):
         read_log(path, tanks())
 

@@ -11,7 +11,14 @@ import numpy as np
 import pytest
 
 from fusion_sfdia.logs import plain
-from fusion_sfdia.logs.plain import plain_lines, plain_table, shortened
+from fusion_sfdia.logs.log_map import PLAIN_MAP
+from fusion_sfdia.logs.plain import plain_lines, shortened
+from fusion_sfdia.logs.tables import read_table
+
+
+def plain_table(path: Path) -> tuple[list[str], np.ndarray] | None:
+    with path.open("rb") as file:
+        return plain.plain_table(file)
 
 
 def file_of(folder: Path, text: str) -> Path:
@@ -77,10 +84,9 @@ def test_a_table_is_read_from_a_pipe(tmp_path: Path) -> None:
     os.mkfifo(pipe)
     writer = threading.Thread(target=pipe.write_text, args=("time,a\n1,2\n3,4\n",))
     writer.start()
-    found = plain_table(pipe)
+    found = read_table(pipe, PLAIN_MAP)
     writer.join()
-    assert found is not None
-    np.testing.assert_array_equal(found[1], [[1, 2], [3, 4]])
+    np.testing.assert_array_equal(np.column_stack(found.columns), [[1, 2], [3, 4]])
 
 
 def test_lines_are_read_back() -> None:

@@ -81,7 +81,7 @@ def test_what_follows_from_another_problem_is_not_one(tmp_path: Path) -> None:
     assert unit.kind == "unit"  # and pressure is no missing sensor
     (time,) = refused(tmp_path, ["Date,pressure,steam,drum,feed,fuel", *GOOD[1:]])
     assert time.kind == "time"  # and Date no superfluous column, and 0 no wrong order
-    (separator,) = refused(tmp_path, [line.replace(",", ";") for line in GOOD])
+    (separator,) = refused(tmp_path, GOOD, LogMap(separator=";"))
     assert separator.kind == "separator"
     (cells,) = refused(tmp_path, [*GOOD[:3], "120,10,1,180,on,1", *GOOD[4:]])
     assert (cells.kind, cells.row, cells.column) == ("cells", 4, "feed")  # and feed is not missing
