@@ -23,6 +23,7 @@ from fusion_sfdia.live.changes import KEPT, Change
 from fusion_sfdia.live.findings import Findings
 from fusion_sfdia.live.order import InOrder, Row
 from fusion_sfdia.live.second_look import Seen
+from fusion_sfdia.live.slow_sensors import SlowSensors
 
 Array = NDArray[Any]
 
@@ -81,6 +82,7 @@ class Watch:
       least dt, waits until three rows, itself among them, have times from its own on; rows that go on as before are diagnosed
       meanwhile, and show that its clock was wrong: it is not taken. After a pause of more than longest_gap the detector starts
       anew, a "reset", and what stood is closed.
+    - Readings that only repeat the one before, of a sensor that brings a new one every few rows, are missing: `SlowSensors`.
     - Where the estimate diverges, or the model raises an error or gives anything but numbers, the detector starts anew with the
       next row, a "reset".
 
@@ -114,6 +116,7 @@ class Watch:
         if not whole("gap", gap, least=1) < KEPT:
             raise ValueError(f"gap is {gap} samples; expected fewer than the {KEPT} that are kept")
         self.findings = Findings(detector, int(gap), kinds, refused)
+        self.slow = SlowSensors(detector.plant, refused)
         self.clock = Clock()
         self.state: State | None = None
         self.t: float | None = None  # of the last row diagnosed, in s; after `load`, rows after it are to be given again
@@ -186,6 +189,7 @@ class Watch:
             self.refused(f"row at {self.clock.at(row.t)}: {error}; it is not taken")
             return ()
         u = self.given if self.at_sample and self.t is not None else given
+        row = row._replace(y=self.slow.take(row.y))
         changes = self.findings.reset(row.t, f"no rows for {pause:g} s", self.clock) if too_long else []
         try:
             state, decision, steps = self._stepped(row, u, begins)
@@ -283,7 +287,7 @@ class Watch:
         own = {"t": np.array(self.t), "u": self.u, "given": self.given, "known_at": self.known_at, "lost": np.array(self.lost)}
         own["clock"] = np.array("" if self.clock.start is None else self.clock.start.isoformat())
         state = {} if self.state is None else state_arrays(self.detector, self.state)
-        parts = {"watch": own, "changes": self.findings.arrays(), "state": state}
+        parts = {"watch": own, "changes": self.findings.arrays(), "slow": self.slow.arrays(), "state": state}
         write_arrays(Path(path), {f"{part}/{name}": value for part, named in parts.items() for name, value in named.items()})
 
     @classmethod
@@ -294,7 +298,7 @@ class Watch:
         after the save it decides again, with the same ids. ValueError for another file, or another detector.
         """
         found = cls(detector, **settings)
-        parts: dict[str, dict[str, Array]] = {"watch": {}, "changes": {}, "state": {}}
+        parts: dict[str, dict[str, Array]] = {"watch": {}, "changes": {}, "slow": {}, "state": {}}
         try:
             for name, value in read_arrays(Path(path)).items():
                 part, _, rest = name.partition("/")
@@ -302,6 +306,7 @@ class Watch:
             own = parts["watch"]
             found.clock = Clock(datetime.fromisoformat(text) if (text := str(own["clock"])) else None)
             found.findings.restore(parts["changes"])
+            found.slow.restore(parts["slow"])
             found.t, found.u, found.given = float(own["t"]), own["u"], own["given"]
             found.known_at, found.lost, found.order.loaded = own["known_at"], bool(own["lost"]), found.t
         except (KeyError, ValueError) as error:
