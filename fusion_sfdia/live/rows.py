@@ -17,7 +17,7 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.live.readings import Reader, json_value
 from fusion_sfdia.live.tables import units_of
 from fusion_sfdia.logs.columns import find_sources, require_columns_of
-from fusion_sfdia.logs.log_map import MASK, PLAIN_MAP, LogMap
+from fusion_sfdia.logs.log_map import MASK, PLAIN_MAP, SPREAD, LogMap
 from fusion_sfdia.logs.mask import COMPARISONS, mask_titles
 from fusion_sfdia.logs.numbers import Numbers, good_codes
 from fusion_sfdia.logs.problems import Problems
@@ -62,6 +62,11 @@ class TextRows:
         require_columns_of(plant, log_map)
         if log_map.tag:
             raise ValueError("the map has a long format, which a watch cannot take: write one row for each time")
+        if log_map.step or log_map.duplicates == SPREAD or any(c.time for c in log_map.columns.values()):
+            raise ValueError(
+                'the map states step, duplicates = "spread" or times of a column, which need the rows after: a watch takes '
+                "rows as they come; write one row for each time"
+            )
         self.plant, self.log_map, self.refused = plant, log_map, refused
         self.allowed = {"absent": absent_sensors, "other": other_columns, "nominal": nominal_inputs}
         self.reader: RowReader | None = None
