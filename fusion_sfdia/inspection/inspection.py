@@ -21,6 +21,7 @@ from fusion_sfdia.inspection.observability import Observability, observability, 
 from fusion_sfdia.inspection.steady import of_start
 from fusion_sfdia.inspection.stepping import Stepping, of_step, stepping
 from fusion_sfdia.inspection.structure import Structural, of_structure, structural
+from fusion_sfdia.inspection.turns import beyond_a_turn, of_turns, turns
 from fusion_sfdia.kalman_banks.identifiability import CONFOUNDED, Identifiability, identifiability
 
 T = TypeVar("T")
@@ -105,7 +106,7 @@ def inspect_plant(
     if wrong:
         return Inspection(found, (*_unstable(found), *wrong))
     log = None if healthy is None else one_run(as_log(found, healthy))
-    remarks: list[Finding] = [*of_start(found), *not_analytic(found)]
+    remarks: list[Finding] = [*of_start(found), *not_analytic(found), *of_turns(turns(found)), *beyond_a_turn(found)]
     step = stepping(found)
     remarks += of_step(found, step)
     remarks += of_cost(found, cost(found))
