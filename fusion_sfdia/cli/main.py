@@ -18,6 +18,7 @@ from fusion_sfdia import __version__
 from fusion_sfdia.cli.audit import add_audit
 from fusion_sfdia.cli.compiling import announced
 from fusion_sfdia.cli.fmu import add_fmu
+from fusion_sfdia.cli.init import add_init
 from fusion_sfdia.cli.inspect import add_inspect
 from fusion_sfdia.cli.listing import add_list
 from fusion_sfdia.cli.logs import add_check_log, add_diagnose, add_simulate
@@ -45,6 +46,7 @@ def parser() -> argparse.ArgumentParser:
     add_run(commands)
     add_compare(commands)
     add_simulate(commands)
+    add_init(commands)
     add_check_log(commands)
     add_diagnose(commands)
     add_watch(commands)
