@@ -126,7 +126,7 @@ def _watched(chosen: argparse.Namespace) -> int:
 def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap) -> None:
     from fusion_sfdia.live.rows import TextRows, lines
 
-    rows = TextRows(saved.watch.detector.plant, log_map, **columns(chosen))
+    rows = TextRows(saved.watch.detector.plant, log_map, **columns(chosen), refused=saved.watch.refused)
     for number, line in enumerate(lines(sys.stdin.buffer, LONGEST_LINE), start=1):
         try:
             if line is None:
@@ -140,6 +140,7 @@ def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap) -> Non
         if row is not None:
             saved.take(*row)
     saved.rest()
+    rows.end()
 
 
 def _server(chosen: argparse.Namespace, saved: SavedWatch) -> None:

@@ -61,11 +61,14 @@ def resolution(column: Array) -> float:
     if changes.size < FEWEST:  # of a reading that hardly moves: all by one step
         steady = changes.size > 1 and changes.size < known.size / FEWEST and np.ptp(changes) < OFF * np.min(changes)
         return float(np.median(changes)) if steady else 0.0
+    return step_of(changes) if np.unique(known).size <= known.size / 2 else 0.0
+
+
+def step_of(changes: Array) -> float:
+    """The step whose multiples most of the changes (K,) are, which are positive; 0 for none."""
     step = float(np.quantile(changes, SMALLEST, method="lower"))
-    multiple = changes / step
-    if np.mean(np.abs(multiple - np.rint(multiple)) < OFF) < ON_LATTICE or np.unique(known).size > known.size / 2:
-        return 0.0
-    return float(np.median(changes / np.rint(multiple), overwrite_input=True))
+    multiple = np.maximum(np.rint(changes / step), 1.0)
+    return float(np.median(changes / multiple)) if np.mean(np.abs(changes / step - multiple) < OFF) >= ON_LATTICE else 0.0
 
 
 def repeat(column: Array, step: float | None = None) -> Repeat | None:

@@ -6,7 +6,7 @@ import hashlib
 import io
 import warnings
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from fusion_sfdia.core.files import atomic_write
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.state import State, leaves, names, rebuilt
 
+SINGLE = 3  # the first fields of a State, which a batch has once
 OTHER_FIELDS = (
     "has the state of another version, with other fields; continue with the version that saved it, or start from the "
     "detector's init"
@@ -85,8 +86,43 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     content, digest = found[:-32], found[-32:]
     if hashlib.sha256(content).digest() != digest:
         raise ValueError("the digest at its end is not that of its content: it is damaged, cut or of another kind")
-    with np.load(io.BytesIO(content), allow_pickle=False) as file:
-        return {name: file[name] for name in file.files}
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except Exception as error:  # zipfile, zlib and NumPy have many for what is none of theirs
+        raise ValueError(f"its content is no set of arrays: {error}") from error
+
+
+@dataclass
+class SavedArrays:
+    """Arrays of a file by name, each of which is taken once; ValueError for what is missing, too many or of another kind."""
+
+    arrays: dict[str, NDArray[Any]]
+
+    def take(self, name: str, kind: str, *shape: int | None) -> NDArray[Any]:
+        """The array of that name; kind: of its dtype, "f", "i", "b" or "U"; in shape None is any length."""
+        if name not in self.arrays:
+            raise ValueError(f"{name!r} is missing")
+        found = self.arrays.pop(name)
+        fits = found.ndim == len(shape) and all(b is None or a == b for a, b in zip(found.shape, shape, strict=True))
+        if found.dtype.kind != kind or not fits:
+            expected = str(shape).replace("None", "any")
+            raise ValueError(f"{name!r} has dtype {found.dtype} and shape {found.shape}; expected kind {kind!r} and {expected}")
+        if kind in "fi" and found.dtype.itemsize != 8:
+            raise ValueError(f"{name!r} has dtype {found.dtype}; expected 64 bits")
+        return found
+
+    def end(self) -> None:
+        """Raise ValueError where arrays are left that nothing has taken."""
+        if self.arrays:
+            raise ValueError(f"{next(iter(self.arrays))!r} is not known")
+
+
+def whole_numbers(name: str, values: NDArray[Any]) -> Any:
+    """Numbers as Python integers, in nested lists as `tolist` gives them; ValueError unless all are whole and at least 0."""
+    if not np.all(np.isfinite(values) & (values == np.round(values)) & (values >= 0) & (values < 2**53)):
+        raise ValueError(f"{name!r} has {shown(values)}; expected whole numbers of at least 0")
+    return values.astype(int).tolist()
 
 
 def save_state(path: str | Path, detector: Detector, state: State) -> None:
@@ -94,7 +130,8 @@ def save_state(path: str | Path, detector: Detector, state: State) -> None:
 
     On the same machine a run goes on from it with the same bits. ValueError for arrays of objects.
     """
-    write_arrays(Path(path), state_arrays(detector, state))
+    require_detector(detector)
+    write_arrays(Path(path), state_arrays(state, fingerprint(detector)))
 
 
 def load_state(path: str | Path, detector: Detector) -> State:
@@ -111,11 +148,19 @@ def load_state(path: str | Path, detector: Detector) -> State:
     return state_of(path, detector, arrays)
 
 
-def state_arrays(detector: Detector, state: State) -> dict[str, NDArray[Any]]:
+def state_arrays(state: State, mark: str) -> dict[str, NDArray[Any]]:
     """A detector's state as arrays by name, with the fingerprint of the detector, for files that hold more than a state."""
-    require_detector(detector)
     arrays = dict(zip(names(state), map(np.asarray, leaves(state)), strict=True))
-    return {"fingerprint": np.array(fingerprint(detector)), **arrays}
+    return {"fingerprint": np.array(mark), **arrays}
+
+
+def of_another_detector(path: str | Path, detector: Detector) -> str:
+    """That a file was saved by another detector, and the cure."""
+    return (
+        f"{path} was saved by another detector, other settings or another plant than {type(detector).__name__} "
+        f"on {detector.plant.name!r}; build the detector as it was then, on the command line with the same "
+        "--plant, --detector and --tuned, or begin anew with another file"
+    )
 
 
 def state_of(path: str | Path, detector: Detector, arrays: Mapping[str, NDArray[Any]]) -> State:
@@ -127,16 +172,24 @@ def state_of(path: str | Path, detector: Detector, arrays: Mapping[str, NDArray[
     if "t" not in arrays:
         raise ValueError(f"{path} {OTHER_FIELDS}")
     if str(arrays["fingerprint"]) != fingerprint(detector):
-        raise ValueError(
-            f"{path} was saved by another detector, other settings or another plant than {type(detector).__name__} "
-            f"on {detector.plant.name!r}; build the detector as it was then, on the command line with the same "
-            "--plant, --detector and --tuned, or begin anew with another file"
-        )
+        raise ValueError(of_another_detector(path, detector))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # init has warned before the state was saved
         layout = detector.init()
     expected = names(layout)
     if set(arrays) != {"fingerprint", *expected}:
         raise ValueError(f"{path} {OTHER_FIELDS}")
+    batch = arrays["diverged"].shape
+    alike = (np.asarray(a) for a in leaves(layout))
+    for k, (name, like) in enumerate(zip(expected, alike, strict=True)):
+        found, shape = arrays[name], like.shape if k < SINGLE else (*batch, *like.shape)
+        if found.dtype != like.dtype or found.shape != shape:
+            raise ValueError(
+                f"{path} is not a saved state of {type(detector).__name__} on {detector.plant.name!r}: {name!r} has dtype "
+                f"{found.dtype} and shape {found.shape}; expected {like.dtype} and {shape}; begin anew with another file"
+            )
+    for name in ("seed", "steps", "t"):
+        if not np.isfinite(arrays[name]) or (name == "steps" and arrays[name] < 0):
+            raise ValueError(f"{path} is not a saved state: {name} is {arrays[name]}; begin anew with another file")
     state: State = rebuilt(layout, [arrays[name] for name in expected])
     return state

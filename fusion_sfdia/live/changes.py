@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.batch_detector import BatchDetector
 from fusion_sfdia.core.detector import Decision, Detector, stack
+from fusion_sfdia.core.storage import SavedArrays, whole_numbers
 from fusion_sfdia.core.verdicts import Conclusion, Verdict
 from fusion_sfdia.evaluation.events import Event, events_of
 from fusion_sfdia.evaluation.sensor_events import rivals_at
@@ -146,17 +148,58 @@ class Changes:
         return found
 
     @classmethod
-    def restored(cls, detector: Detector, gap: int, arrays: dict[str, Array]) -> Changes:
-        """The same with which `arrays` was called."""
-        found = cls(detector, gap, int(arrays["count"]))
-        number, since, other = arrays["sight"].tolist()
-        found.sight = Sight(int(number), since, int(other))
-        for i, number, start, last, missed in arrays["standing"].tolist():
-            found.standing[int(i)] = Standing(int(number), start, last, int(missed))
-        named = {f.name: arrays[f"recent.{f.name}"] for f in fields(Decision) if f"recent.{f.name}" in arrays}
-        for k, t in enumerate(arrays.get("recent", np.empty(0)).tolist()):
-            found.recent.append((t, Decision(**{name: values[k] for name, values in named.items()})))
+    def restored(cls, detector: Detector, gap: int, saved: SavedArrays) -> Changes:
+        """The same with which `arrays` was called; ValueError for arrays that it did not give."""
+        found = cls(detector, gap, whole_numbers("count", saved.take("count", "i")))
+        sight = saved.take("sight", "f", 3)
+        found.sight = Sight(whole_numbers("sight", sight[0]), float(sight[1]), whole_numbers("sight", sight[2]))
+        standing = saved.take("standing", "f", None, 5)
+        for (i, number, missed), (start, last) in zip(
+            whole_numbers("standing", standing[:, [0, 1, 4]]), standing[:, 2:4].tolist(), strict=True
+        ):
+            found.standing[i] = Standing(number, start, last, missed)
+        if "recent" in saved.arrays:
+            times = saved.take("recent", "f", None)
+            tested = any(f"recent.{name}" in saved.arrays for name in OF_PROCESS)
+            names = [name for name in OF_DECISION if tested or name not in OF_PROCESS]
+            named = {name: _saved(saved, detector, name, times.size) for name in names}
+            for k, t in enumerate(times.tolist()):
+                found.recent.append((t, Decision(**{name: values[k] for name, values in named.items()})))
+        numbers = [found.sight.id, *(e.id for e in found.standing.values())]
+        if max(numbers) > found.count or len(found.standing) < len(standing):
+            raise ValueError(f"'standing' has ids {numbers}, of {found.count} that were given")
+        if found.recent and _held(found.recent[-1][1]) - found.standing.keys():
+            raise ValueError("'standing' lacks what the last Decision holds")
+        for i in found.standing:
+            found._event(i)  # of samples that the file must have
         return found
+
+
+OF_DECISION = {  # kind and axes of what a Decision has: N sensors, H hypotheses, P of the process, m inputs, n states
+    "estimate": ("f", "n"), "reconstruction": ("f", "N"), "residual": ("f", "N"), "threshold": ("f", "N"),
+    "isolated": ("b", "H"), "fault_size": ("f", "H"), "diverged": ("b", ""), "guarded": ("b", ""), "nis": ("f", ""),
+    "capped": ("b", ""), "absurd": ("b", "N"), "absurd_input": ("b", "m"), "process": ("b", "P"), "process_size": ("f", "P"),
+    "process_sd": ("f", "P"), "suspect": ("b", "S"), "probability": ("f", "S"),
+}  # fmt: skip
+OF_PROCESS = ("process", "process_size", "process_sd", "suspect", "probability")  # last in a Decision, all or none
+
+
+def _saved(saved: SavedArrays, detector: Detector, name: str, count: int) -> Array:
+    """A field of the last `count` Decisions; ValueError where it does not fit the detector."""
+    kind, axis = OF_DECISION[name]
+    plant, hypotheses = detector.plant, len(detector.hypotheses)
+    tested = len(getattr(detector, "process_hypotheses", ()))
+    sizes = {
+        "N": len(plant.sensors),
+        "H": hypotheses,
+        "P": tested,
+        "S": hypotheses + tested,
+        "m": len(plant.inputs),
+        "n": len(plant.states),
+    }
+    flag = name in ("absurd", "absurd_input") and not isinstance(detector, BatchDetector)  # these may have a single False
+    alone = flag and f"recent.{name}" in saved.arrays and saved.arrays[f"recent.{name}"].ndim == 1
+    return saved.take(f"recent.{name}", kind, count, *([] if alone or not axis else [sizes[axis]]))
 
 
 def _held(decision: Decision) -> set[int]:

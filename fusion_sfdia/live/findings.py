@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import Decision, Detector
 from fusion_sfdia.core.model_errors import described
+from fusion_sfdia.core.storage import SavedArrays
 from fusion_sfdia.core.verdicts import Conclusion
 from fusion_sfdia.evaluation.events import Event
 from fusion_sfdia.live.changes import Change, Changes
@@ -89,9 +90,12 @@ class Findings:
         return self.changes.arrays() | {f"look.{name}": value for name, value in look.items()}
 
     def restore(self, arrays: dict[str, Array]) -> None:
-        """Go on as the one with which `arrays` was called."""
-        self.changes = Changes.restored(self.detector, self.changes.gap, arrays)
-        found = {name.removeprefix("look."): value for name, value in arrays.items() if name.startswith("look.")}
-        if self.look is not None and found:
+        """Go on as the one with which `arrays` was called; ValueError for arrays that it did not give."""
+        look = SavedArrays({name.removeprefix("look."): a for name, a in arrays.items() if name.startswith("look.")})
+        saved = SavedArrays({name: a for name, a in arrays.items() if not name.startswith("look.")})
+        self.changes = Changes.restored(self.detector, self.changes.gap, saved)
+        saved.end()
+        if self.look is not None and look.arrays:
             decisions = [decision for _, decision in self.changes.recent]
-            self.look = restored_look(self.detector, self.changes.gap, found, decisions)
+            self.look = restored_look(self.detector, self.changes.gap, look, decisions)
+            look.end()

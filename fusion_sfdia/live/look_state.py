@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.detector import Decision, Detector
+from fusion_sfdia.core.storage import SavedArrays, whole_numbers
 from fusion_sfdia.evaluation.events import Event
+from fusion_sfdia.evaluation.hindsight import LEAD
 from fusion_sfdia.evaluation.hindsight_steps import Hindsight
 from fusion_sfdia.filters.estimators import GaussianState
-from fusion_sfdia.live.second_look import NamedEvent, SecondLook, Seen
+from fusion_sfdia.live.second_look import WINDOW, NamedEvent, SecondLook, Seen
 
 Array = NDArray[Any]
 
@@ -33,36 +35,63 @@ def look_arrays(look: SecondLook) -> dict[str, Array]:
     found["named"] = np.array([(e.id, e.start, e.end, e.final) for e in look.named], float).reshape(-1, 4)
     found["hypotheses"] = np.array([e.hypothesis for e in look.named], str)
     told = [e.told for e in look.named]
-    found["told"] = np.array([(np.nan,) * 4 if e is None else (e.start, e.end, e.size, e.open) for e in told], float)
+    found["told"] = np.array([(np.nan,) * 4 if e is None else (e.start, e.end, e.size, e.open) for e in told], float).reshape(
+        -1, 4
+    )
     found["faults"] = np.array(["" if e is None else e.fault for e in told], str)
     return found
 
 
-def restored_look(detector: Detector, gap: int, arrays: dict[str, Array], decisions: Sequence[Decision]) -> SecondLook:
-    """The same of which `look_arrays` are; decisions: of the last samples."""
-    before, count, due, pause, size = arrays["numbers"].tolist()
-    core = GaussianState(arrays["x"], arrays["P"]) if "x" in arrays else None
-    found = SecondLook(detector, gap, core, before, read=arrays["read"], count=int(count), due=int(due), pause=int(pause))
-    found.verdict = str(arrays["verdict"])
-    rows = [arrays[name] for name in ("t", "y", "u")] if "t" in arrays else [np.empty(0)] * 3
-    number = len(rows[0])
-    for k, (t, y, u) in enumerate(zip(*rows, strict=True)):
-        steps = tuple((float(s[1]), s[2:]) for s in arrays["between"] if s[0] == k - size)
-        decision = decisions[len(decisions) - number + k]
-        seen = Seen(float(t), y, u, decision, float(arrays["begins"][k]), steps, arrays["out"][k])
+def restored_look(detector: Detector, gap: int, saved: SavedArrays, decisions: Sequence[Decision]) -> SecondLook:
+    """The same of which `look_arrays` are; decisions: of the last samples. ValueError for arrays that it did not give."""
+    n, m = len(detector.plant.sensors), len(detector.plant.inputs)
+    numbers = saved.take("numbers", "f", 5)
+    before = float(numbers[0])
+    count, due, pause, size = whole_numbers("numbers", numbers[1:])
+    core = None
+    if "x" in saved.arrays:
+        x = saved.take("x", "f", None)
+        core = GaussianState(x, saved.take("P", "f", x.size, x.size))
+    read = saved.take("read", "b", n if count else None)
+    found = SecondLook(detector, gap, core, before, read=read, count=count, due=due, pause=pause)
+    found.verdict = str(saved.take("verdict", "U"))
+    times = saved.take("t", "f", None) if "t" in saved.arrays else np.empty(0)
+    rows = times.size
+    if not size <= rows <= min(len(decisions), size + LEAD) or size > WINDOW:
+        raise ValueError(f"'numbers' states {size} of {rows} rows")
+    y, u, begins, out = (
+        saved.take(name, kind, rows, *axes) if rows else np.empty((0, *axes))
+        for name, kind, axes in (("y", "f", (n,)), ("u", "f", (m,)), ("begins", "f", ()), ("out", "b", (n,)))
+    )
+    after = [
+        saved.take(f"after.{name}", kind, size, *axes) if size else np.empty((0, *axes))
+        for name, kind, axes in zip(Hindsight._fields, "ffffi", ((n,), (n,), (n,), (), ()), strict=True)
+    ]
+    between = saved.take("between", "f", None, None)
+    if between.shape[1] != (2 + m if len(between) else 2):
+        raise ValueError(f"'between' has shape {between.shape}; expected {2 + m} columns, 2 without rows")
+    ahead = whole_numbers("between", between[:, 0])
+    for k in range(rows):
+        steps = tuple((float(s[1]), s[2:]) for at, s in zip(ahead, between, strict=True) if at == k - size)
+        seen = Seen(float(times[k]), y[k], u[k], decisions[len(decisions) - rows + k], float(begins[k]), steps, out[k])
         if k < size:
-            after = Hindsight(*(arrays[f"after.{name}"][k] for name in Hindsight._fields))
-            found.window.append(seen._replace(after=after))
+            found.window.append(seen._replace(after=Hindsight(*(values[k] for values in after))))
         else:
             found.ahead.append(seen)
-    for row, name, told, fault in zip(
-        arrays["named"].tolist(),
-        arrays["hypotheses"].tolist(),
-        arrays["told"].tolist(),
-        arrays["faults"].tolist(),
-        strict=True,
-    ):
-        start, end, magnitude, is_open = told
-        event = None if np.isnan(start) else Event(name, start, end, magnitude, "", bool(is_open), fault=fault)
-        found.named.append(NamedEvent(int(row[0]), name, row[1], row[2], event, bool(row[3])))
+    found.named += _restored_events(detector, saved)
+    return found
+
+
+def _restored_events(detector: Detector, saved: SavedArrays) -> list[NamedEvent]:
+    named = saved.take("named", "f", None, 4)
+    names = saved.take("hypotheses", "U", len(named)).tolist()
+    told = saved.take("told", "f", len(named), 4).tolist()
+    faults = saved.take("faults", "U", len(named)).tolist()
+    if unknown := set(names) - set(detector.plant.sensor_names):
+        raise ValueError(f"'hypotheses' has {unknown}, which are no sensors")
+    found = []
+    for k, (number, final) in enumerate(whole_numbers("named", named[:, [0, 3]])):
+        start, end, size, is_open = told[k]
+        event = None if np.isnan(start) else Event(names[k], start, end, size, "", bool(is_open), fault=faults[k])
+        found.append(NamedEvent(number, names[k], float(named[k, 1]), float(named[k, 2]), event, bool(final)))
     return found

@@ -1,23 +1,38 @@
-"""Lines about rows that were not taken: few, however many there are."""
+"""Lines about what was not taken: few, however many there are, and none hidden by those of another kind."""
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 FIRST = 10
+VALUES = re.compile(r"'(?:[^'\\]|\\.)*'|\"(?:[^\"\\]|\\.)*\"|[+-]?\d[\d.:+-]*")  # what differs between lines of one kind
+MOST_KINDS = 1000
 
 
 @dataclass
 class Remarks:
-    """Says the first FIRST remarks, then each whose number is 100, 1000, ..., with the number."""
+    """Says the first FIRST remarks of each kind, then each whose number is 100, 1000, ..., with the number.
+
+    Remarks are of one kind where they differ only in numbers, times and what is quoted.
+    """
 
     say: Callable[[str], None]
-    count: int = 0
+    kinds: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def count(self) -> int:
+        """How many remarks there were."""
+        return self.kinds.total()
 
     def __call__(self, remark: str) -> None:
-        self.count += 1
-        if self.count <= FIRST:
+        kind = VALUES.sub("#", remark)[:200]
+        if kind not in self.kinds and len(self.kinds) >= MOST_KINDS:
+            kind = ""
+        self.kinds[kind] += 1
+        if (count := self.kinds[kind]) <= FIRST:
             self.say(remark)
-        elif str(self.count).strip("0") == "1":
-            self.say(f"{remark} (the {self.count}th such line; others are not shown)")
+        elif str(count).strip("0") == "1":
+            self.say(f"{remark} (the {count}th such line; others are not shown)")

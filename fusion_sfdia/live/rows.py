@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Sequence
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime
 from typing import Any, BinaryIO
 
@@ -12,11 +14,12 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.live.readings import json_value
+from fusion_sfdia.live.readings import Reader, json_value
+from fusion_sfdia.live.tables import units_of
 from fusion_sfdia.logs.columns import find_sources, require_columns_of
-from fusion_sfdia.logs.log_map import MASK, PLAIN_MAP, LogMap
+from fusion_sfdia.logs.log_map import MASK, PLAIN_MAP, SPREAD, LogMap
 from fusion_sfdia.logs.mask import COMPARISONS, mask_titles
-from fusion_sfdia.logs.numbers import Numbers
+from fusion_sfdia.logs.numbers import Numbers, good_codes
 from fusion_sfdia.logs.problems import Problems
 from fusion_sfdia.logs.rows import RowReader
 
@@ -40,8 +43,9 @@ class TextRows:
     CSV: the first line, after the map's preamble, is the header, with titles as `load_log` takes them. JSON: each line is an
     object with the titles as keys, the first with all of them; null, or no key, is a missing value. Titles, numbers, times and
     units are as the LogMap states, by default the names of the plant; in a row that its mask covers all readings are missing.
-    Its hold, inputs and duplicates are for the Watch; order is that of a Watch, whatever the map has. ValueError for a map of a
-    long format.
+    A cell that is no number is a missing value; the first of each column is said to `refused`, and at the end, see `end`, how
+    many there were. Its hold, inputs and duplicates are for the Watch; order is that of a Watch, whatever the map has.
+    ValueError for a map of a long format.
     absent_sensors, other_columns, nominal_inputs: as in `load_log`.
     """
 
@@ -53,15 +57,23 @@ class TextRows:
         absent_sensors: bool = False,
         other_columns: bool = False,
         nominal_inputs: bool = False,
+        refused: Callable[[str], None] = warnings.warn,
     ) -> None:
         require_columns_of(plant, log_map)
         if log_map.tag:
             raise ValueError("the map has a long format, which a watch cannot take: write one row for each time")
-        self.plant, self.log_map = plant, log_map
+        if log_map.step or log_map.duplicates == SPREAD or any(c.time for c in log_map.columns.values()):
+            raise ValueError(
+                'the map states step, duplicates = "spread" or times of a column, which need the rows after: a watch takes '
+                "rows as they come; write one row for each time"
+            )
+        self.plant, self.log_map, self.refused = plant, log_map, refused
         self.allowed = {"absent": absent_sensors, "other": other_columns, "nominal": nominal_inputs}
         self.reader: RowReader | None = None
         self.lines = 0
         self.header: list[str] | None = None
+        self.cells: dict[str, Reader] = {}  # how each column that feeds something is read
+        self.unusable: Counter[str] = Counter()  # values of each column
         self.compared: dict[str, float] = {}  # the last value of what each comparison of the mask compares
 
     def row(self, line: str) -> tuple[float | datetime, Array, Array] | None:
@@ -99,6 +111,8 @@ class TextRows:
         with problems.collecting("mask"):
             mask_titles("the first line", titles, sources, self.log_map)  # refuses what is no column
         problems.require_none()
+        wanted, numbers = units_of(self.plant), Numbers.of(self.log_map)
+        self.cells = {c.title: Reader(wanted[c.name], c.conversion, numbers=numbers) for c in sources.columns}
         return RowReader(self.plant, self.log_map, sources, Numbers.of(self.log_map))
 
     def _numbers(self, row: dict[str, Any]) -> tuple[float | datetime, Array, Array]:
@@ -107,17 +121,46 @@ class TextRows:
             seconds, stamp = self.reader.time(row)
         except KeyError as error:
             raise ValueError(f"no {error} among {shown(list(row))}") from error
-        y, u = self.reader.values(row)
+        y, u = self._values(self.reader, row)
         if self.log_map.mask and self._is_masked(self.reader, row):
             y = np.full_like(y, np.nan)
         return seconds if stamp is None else stamp, y, u
 
+    def _values(self, reader: RowReader, row: dict[str, Any]) -> tuple[Array, Array]:
+        """Readings (N,) and inputs (m,) of a row, NaN where a cell is missing, no number, or not of good quality."""
+        y, u = np.full(len(self.plant.sensors), np.nan), np.full(len(self.plant.inputs), np.nan)
+        for c in reader.sources.columns:
+            number, fault = self.cells[c.title](row.get(c.title))
+            if fault:
+                self._unusable(c.title, row.get(c.title), fault)
+            if c.quality:
+                try:
+                    if not good_codes([row.get(c.quality)], self.log_map.good)[0]:
+                        continue
+                except (ValueError, TypeError, OverflowError):
+                    self._unusable(c.quality, row.get(c.quality), "no quality that `good` of the map states")
+                    continue
+            (u if c.is_input else y)[c.position] = number
+        return y, u
+
+    def _unusable(self, title: str, cell: Any, fault: str) -> None:
+        self.unusable[title] += 1
+        if self.unusable[title] == 1:
+            self.refused(f"line {self.lines}, column {title}: {shown(cell)}: {fault}; the value is missing, the row counts")
+
+    def end(self) -> None:
+        """Say how many values of a column could not be used, at the end of the input, where it was more than one."""
+        for title, count in self.unusable.items():
+            if count > 1:
+                self.refused(f"column {title}: {count} values could not be used and are missing, the first one as said")
+
     def _is_masked(self, reader: RowReader, row: dict[str, Any]) -> bool:
         """Whether a comparison holds, in the units of the rows; a missing value compares as the one before it."""
         titles, masked = {c.name: c.title for c in reader.sources.columns}, False
+        plain = Reader(numbers=reader.numbers)
         for text in self.log_map.mask:
             name, comparison, limit = MASK.fullmatch(text.strip()).groups()  # type: ignore[union-attr]
-            if not np.isnan(value := reader.numbers.cell(row.get(titles.get(name, name)))):
+            if not np.isnan(value := plain(row.get(titles.get(name, name))).number):
                 self.compared[text] = value
             masked |= text in self.compared and COMPARISONS[comparison](self.compared[text], float(limit))
         return masked

@@ -32,6 +32,10 @@ class SavedWatch:
     saved: int = 0  # rows that the state has
     whole: bool = True  # whether all lines of the rows taken are written
 
+    def __post_init__(self) -> None:
+        if self.path is not None:
+            _ = self.watch.identity  # while the model works: a save may come when it fails
+
     def take(self, t: float | datetime, y: Any, u: Any) -> tuple[Sample, ...]:
         """Diagnose a row as `Watch.take`, write its lines, and save where it is time."""
         self.whole = False

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from datetime import datetime
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,14 +18,32 @@ from fusion_sfdia.core.detector import Decision, Detector
 from fusion_sfdia.core.gaps import MOST_BRIDGES, lead_in, longest_step, steps_over
 from fusion_sfdia.core.model_errors import ModelError, described, require_model
 from fusion_sfdia.core.state import State
-from fusion_sfdia.core.storage import read_arrays, require_detector, state_arrays, state_of, write_arrays
+from fusion_sfdia.core.storage import (
+    SavedArrays,
+    fingerprint,
+    of_another_detector,
+    read_arrays,
+    require_detector,
+    state_arrays,
+    state_of,
+    write_arrays,
+)
 from fusion_sfdia.core.verdicts import Conclusion, Verdict, conclusion_of
 from fusion_sfdia.live.changes import KEPT, Change
 from fusion_sfdia.live.findings import Findings
 from fusion_sfdia.live.order import InOrder, Row
 from fusion_sfdia.live.second_look import Seen
+from fusion_sfdia.live.slow_sensors import SlowSensors
 
 Array = NDArray[Any]
+
+VERSION = 2  # of the file in which a watch is saved
+ANEW = "name another file, or remove it to begin anew"
+OF_INPUTS = ("u", "given", "known_at")
+
+
+class OtherDetectorError(ValueError):
+    """A saved watch of another detector or plant."""
 
 
 class WatchWarning(UserWarning):
@@ -34,7 +53,8 @@ class WatchWarning(UserWarning):
 class Sample(NamedTuple):
     """A row that was taken, with the inputs used, its Decision, and what it changes.
 
-    failure: what the model did wrong, "" where it works; every number of the Decision is NaN then.
+    conclusion: the verdict with its reason, blind where nothing was judged; of a row in which all readings are repeats of slow
+    sensors, that of the row before. Where the model failed every number of the Decision is NaN.
     """
 
     t: float
@@ -42,12 +62,7 @@ class Sample(NamedTuple):
     u: Array
     decision: Decision
     changes: tuple[Change, ...]
-    failure: str = ""
-
-    @property
-    def conclusion(self) -> Conclusion:
-        """The verdict on this row with its reason; `Verdict.BLIND` where nothing was judged."""
-        return Conclusion(Verdict.BLIND, self.failure) if self.failure else conclusion_of(self.decision, self.y)
+    conclusion: Conclusion
 
     @property
     def verdict(self) -> Verdict:
@@ -81,6 +96,7 @@ class Watch:
       least dt, waits until three rows, itself among them, have times from its own on; rows that go on as before are diagnosed
       meanwhile, and show that its clock was wrong: it is not taken. After a pause of more than longest_gap the detector starts
       anew, a "reset", and what stood is closed.
+    - Readings that only repeat the one before, of a sensor that brings a new one every few rows, are missing: `SlowSensors`.
     - Where the estimate diverges, or the model raises an error or gives anything but numbers, the detector starts anew with the
       next row, a "reset".
 
@@ -114,6 +130,7 @@ class Watch:
         if not whole("gap", gap, least=1) < KEPT:
             raise ValueError(f"gap is {gap} samples; expected fewer than the {KEPT} that are kept")
         self.findings = Findings(detector, int(gap), kinds, refused)
+        self.slow = SlowSensors(detector.plant, refused)
         self.clock = Clock()
         self.state: State | None = None
         self.t: float | None = None  # of the last row diagnosed, in s; after `load`, rows after it are to be given again
@@ -123,6 +140,7 @@ class Watch:
         self.lost = False  # whether the estimate of the last row had diverged
         self.failing: type[Exception] | None = None  # the error of the model in the last row
         self.x = detector.plant.x0  # the last estimate
+        self.concluded = Conclusion(Verdict.BLIND, "no row was judged yet")
         self.order = InOrder(number("reorder", reorder), self.longest_gap, refused, keep_last, detector.plant.dt)
 
     def events(self, rows: Iterable[tuple[float | datetime, Any, Any]]) -> Iterator[Change]:
@@ -186,6 +204,8 @@ class Watch:
             self.refused(f"row at {self.clock.at(row.t)}: {error}; it is not taken")
             return ()
         u = self.given if self.at_sample and self.t is not None else given
+        read = np.isfinite(row.y).any()
+        row = row._replace(y=self.slow.take(row.y))
         changes = self.findings.reset(row.t, f"no rows for {pause:g} s", self.clock) if too_long else []
         try:
             state, decision, steps = self._stepped(row, u, begins)
@@ -200,14 +220,17 @@ class Watch:
             changes += self.findings.after(seen, decision, self.clock)
             if decision.diverged and not self.lost:
                 changes += self.findings.reset(row.t, "the estimate diverged", self.clock)
-        sample = Sample(row.t, row.y, u, decision, (), failure)
-        changes += self.findings.sight(row.t, sample.conclusion, at_once=bool(decision.diverged))
+        if failure:
+            self.concluded = Conclusion(Verdict.BLIND, failure)
+        elif decision.diverged or not read or np.isfinite(row.y).any():  # else all are repeats, and the verdict stands
+            self.concluded = conclusion_of(decision, row.y)
+        changes += self.findings.sight(row.t, self.concluded, at_once=bool(decision.diverged))
         self.lost, self.failing, self.t = bool(decision.diverged), failing, row.t
         self.state = None if self.lost else state
         if np.all(np.isfinite(decision.estimate)) and decision.estimate.shape == self.x.shape:
             self.x = decision.estimate
         self.u, self.given, self.known_at = u, given, known_at
-        return (sample._replace(changes=tuple(changes)),)
+        return (Sample(row.t, row.y, u, decision, tuple(changes), self.concluded),)
 
     def _stepped(self, row: Row, u: Array, begins: float) -> tuple[State, Decision, list[tuple[float, Array]]]:
         """The state and the Decision after a row, and times and inputs of the steps before it; any error of the model.
@@ -273,6 +296,11 @@ class Watch:
         came = f"is {value:g} {s.unit}, beyond {s.low:g} to {s.high:g}" if np.isfinite(value) else "is missing"
         raise ValueError(f"input {s.name} {came}, and its last value is held for {self.hold:g} s only")
 
+    @cached_property
+    def identity(self) -> str:
+        """The fingerprint of the detector and its plant, by which a saved watch is matched."""
+        return fingerprint(self.detector)
+
     def save(self, path: str | Path) -> None:
         """Write the state of this watch to a file, whole or not at all, from which `load` goes on with the same bits.
 
@@ -282,8 +310,10 @@ class Watch:
             return
         own = {"t": np.array(self.t), "u": self.u, "given": self.given, "known_at": self.known_at, "lost": np.array(self.lost)}
         own["clock"] = np.array("" if self.clock.start is None else self.clock.start.isoformat())
-        state = {} if self.state is None else state_arrays(self.detector, self.state)
-        parts = {"watch": own, "changes": self.findings.arrays(), "state": state}
+        own |= {"verdict": np.array(str(self.concluded.verdict)), "reason": np.array(self.concluded.reason)}
+        own |= {"version": np.array(VERSION), "fingerprint": np.array(self.identity)}
+        state = {} if self.state is None else state_arrays(self.state, self.identity)
+        parts = {"watch": own, "changes": self.findings.arrays(), "slow": self.slow.arrays(), "state": state}
         write_arrays(Path(path), {f"{part}/{name}": value for part, named in parts.items() for name, value in named.items()})
 
     @classmethod
@@ -291,20 +321,47 @@ class Watch:
         """The watch that was saved, with the same detector and settings, see `Watch`.
 
         Given all rows after `t` again, or all rows from the start, it goes on as if it had never stopped: what it decided
-        after the save it decides again, with the same ids. ValueError for another file, or another detector.
+        after the save it decides again, with the same ids. ValueError for another file, version, detector or plant.
         """
         found = cls(detector, **settings)
-        parts: dict[str, dict[str, Array]] = {"watch": {}, "changes": {}, "state": {}}
+        parts: dict[str, dict[str, Array]] = {"watch": {}, "changes": {}, "slow": {}, "state": {}}
         try:
             for name, value in read_arrays(Path(path)).items():
                 part, _, rest = name.partition("/")
+                if part not in parts:
+                    raise ValueError(f"{name!r} is not known")
                 parts[part][rest] = value
-            own = parts["watch"]
-            found.clock = Clock(datetime.fromisoformat(text) if (text := str(own["clock"])) else None)
-            found.findings.restore(parts["changes"])
-            found.t, found.u, found.given = float(own["t"]), own["u"], own["given"]
-            found.known_at, found.lost, found.order.loaded = own["known_at"], bool(own["lost"]), found.t
-        except (KeyError, ValueError) as error:
-            raise ValueError(f"{path} is not the saved state of a watch ({error}); name another file") from error
+            own = SavedArrays(parts["watch"])
+            version = own.take("version", "i") if "version" in own.arrays else 1
+            if version != VERSION:
+                raise ValueError(f"it is of version {version} of this file, and this package reads version {VERSION}")
+        except ValueError as error:
+            raise ValueError(f"{path} is not the saved state of a watch ({error}); {ANEW}") from error
+        try:
+            if str(own.take("fingerprint", "U")) != found.identity:
+                raise OtherDetectorError(of_another_detector(path, detector))
+            found._restore(own, parts["changes"], parts["slow"])
+        except OtherDetectorError:
+            raise
+        except Exception as error:  # what has a valid digest may still hold anything
+            raise ValueError(f"{path} is not the saved state of a watch ({error}); {ANEW}") from error
         found.state = None if not parts["state"] else state_of(path, detector, parts["state"])
         return found
+
+    def _restore(self, own: SavedArrays, changes: dict[str, Array], slow: dict[str, Array]) -> None:
+        """Take over what `save` wrote; ValueError where it does not fit the detector."""
+        m = len(self.detector.plant.inputs)
+        self.clock = Clock(datetime.fromisoformat(text) if (text := str(own.take("clock", "U"))) else None)
+        self.t, self.u, self.given, self.known_at = float(own.take("t", "f")), *(own.take(n, "f", m) for n in OF_INPUTS)
+        self.lost = bool(own.take("lost", "b"))
+        if not (np.isfinite(self.t) and np.isfinite(self.u).all() and np.isfinite(self.given).all()):
+            raise ValueError("'t', 'u' or 'given' is not finite")
+        if np.isnan(self.known_at).any() or (self.known_at > self.t).any():
+            raise ValueError("'known_at' is not a time before the last row")
+        self.concluded = Conclusion(Verdict(str(own.take("verdict", "U"))), str(own.take("reason", "U")))
+        own.end()
+        self.order.loaded = self.t
+        self.findings.restore(changes)
+        if unknown := slow.keys() - self.slow.arrays().keys():
+            raise ValueError(f"{unknown} of slow sensors is not known")
+        self.slow.restore(slow)

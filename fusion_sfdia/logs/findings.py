@@ -11,7 +11,7 @@ from fusion_sfdia.logs.columns import Source
 
 # what changes or questions the readings; the other kinds describe the log
 REMARKABLE = (
-    "bad", "duplicates", "future", "held", "input unit suspected", "inputs shifted", "left out", "masked", "no date",
+    "bad", "duplicates", "future", "grid", "held", "input unit suspected", "inputs shifted", "left out", "masked", "no date",
     "nominal inputs", "order", "period", "quality", "repeat", "resolution", "rows left out", "short rows",
     "time unit suspected", "unit suspected", "zone",
 )  # fmt: skip

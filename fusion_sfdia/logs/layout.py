@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,12 +11,13 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import shown, some
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.logs.columns import Sources, find_sources
+from fusion_sfdia.logs.columns import Sources, find_sources, split_title
 from fusion_sfdia.logs.findings import Finding, counted
-from fusion_sfdia.logs.log_map import LogMap
+from fusion_sfdia.logs.grid import filled, on_grid, stacked, step_of, tagged
+from fusion_sfdia.logs.log_map import SPREAD, LogMap
 from fusion_sfdia.logs.mask import mask_titles
 from fusion_sfdia.logs.numbers import NotANumberError, Numbers, good_codes
-from fusion_sfdia.logs.order import Rows, dropped, twice
+from fusion_sfdia.logs.order import Rows, dropped, require_one_clock, spread, spread_finding, twice
 from fusion_sfdia.logs.problems import Problems
 from fusion_sfdia.logs.tables import Table
 from fusion_sfdia.logs.times import UNKNOWN, Expected, Times, times_of, unknown_times
@@ -28,23 +30,26 @@ def wide_rows(
     table: Table, plant: Plant, log_map: LogMap, allowed: dict[str, bool], problems: Problems, expected: Expected
 ) -> Laid:
     """A table with a column for each sensor and input; columns that cannot be read are added to problems, and left out."""
-    sources = find_sources(problems, table.titles, table.units, plant, log_map, **allowed)
-    needed = [*sources.times, *(c.title for c in sources.columns if c.is_input and not log_map.hold)]
-    table = table.with_cells_of(needed)
+    table, log_map, own = found = tagged(table, log_map)
+    titles, units = found.header
+    sources = find_sources(problems, titles, units, plant, log_map, **allowed)
+    if not own:
+        needed = [*sources.times, *(c.title for c in sources.columns if c.is_input and not log_map.hold)]
+        table = table.with_cells_of(needed)
     if sources.columns or sources.refused:
         with problems.collecting("rows"):
             table.require_rows()
     if not len(table.rows) or not (sources.columns or sources.refused):
         problems.require_none()
-    times = unknown_times(len(table.rows))
-    if sources.times:
-        with problems.collecting("time"):
-            times = times_of(table, sources.times, sources.time_unit, log_map, expected=expected)
     findings = [*table.findings]
     values = {}
     also: list[str] = []
     with problems.collecting("mask"):
         also = mask_titles(table.where, table.titles, sources, log_map)
+    times = unknown_times(len(table.rows))
+    if sources.times and not (own or log_map.step):
+        with problems.collecting("time"):
+            times = times_of(table, sources.times, sources.time_unit, log_map, expected=expected)
     for title in dict.fromkeys([*(c.title for c in sources.columns), *sources.refused, *also]):
         with problems.collecting("cells", title):
             values[title] = _numbers(table, title, log_map, findings)
@@ -53,15 +58,102 @@ def wide_rows(
             with problems.collecting("quality", c.quality):
                 _apply_quality(table, c.quality, c.title, values[c.title], log_map, findings)
     sources = sources._replace(columns=tuple(c for c in sources.columns if c.title in values))
-    return sources, Rows(times.t, np.asarray(table.rows), values), times, findings
+    rows = Rows(times.t, np.asarray(table.rows), values)
+    if sources.times and (own or log_map.step):
+        with problems.collecting("time"):
+            rows, times = _by_own_times(table, own, sources, values, log_map, expected, findings, problems)
+    return sources, rows, times, findings
+
+
+def _by_own_times(
+    table: Table,
+    own: dict[str, str],
+    sources: Sources,
+    values: dict[str, Array],
+    log_map: LogMap,
+    expected: Expected,
+    findings: list[Finding],
+    problems: Problems,
+) -> tuple[Rows, Times]:
+    """The rows of columns of which each may have times of its own; a column without takes those of the map."""
+    names, cells, rows, codes = list(values), [], [], []
+    for code, name in enumerate(names):
+        of = (own[name],) if name in own else sources.times
+        if of[0] not in table.titles:
+            raise ValueError(f"{table.where}: no column {shown(of[0])} with the times of {shown(name)}; correct the map")
+        timed = filled(table.column(of[0]))
+        if (untimed := np.isfinite(values[name]) & ~timed).any():
+            k = int(np.argmax(untimed))
+            raise ValueError(f"{table.text(k)}, column {of[0]}: ''; expected the time of the value of {name}")
+        chosen = np.flatnonzero(timed)
+        columns = [
+            [column[k] for k in chosen] if isinstance(column, list) else column[chosen] for column in map(table.column, of)
+        ]
+        cells.append(columns[0] if len(of) == 1 else [" ".join(map(str, pair)) for pair in zip(*columns, strict=True)])
+        rows.append(chosen)
+        codes.append(np.full(chosen.size, code))
+    at, code_of = np.concatenate(rows), np.concatenate(codes)
+    below = Table(table.where, [" ".join(log_map.time)], [stacked(cells)], [table.rows[k] for k in at], [""])
+    unit = sources.time_unit or next((split_title(t)[1] for t in own.values()), "")
+    times = times_of(below, below.titles, "" if log_map.format else unit, log_map, code_of, expected)
+    numbers = np.concatenate([values[name][k] for name, k in zip(names, rows, strict=True)])
+    return _of_tags(below, names, code_of, numbers, times, log_map, expected, findings, problems), times
+
+
+def _of_tags(
+    table: Table,
+    names: Sequence[str],
+    codes: Array,
+    values: Array,
+    times: Times,
+    log_map: LogMap,
+    expected: Expected,
+    findings: list[Finding],
+    problems: Problems,
+) -> Rows:
+    """The rows of values (K,) of the tags `codes` (K,), each with its time: at each time a row, or in rows a step apart."""
+    import pandas
+
+    t, numbers = times.t, np.asarray(table.rows)
+    for code, name in enumerate(names):
+        of = np.flatnonzero(codes == code)
+        with problems.collecting("order"):
+            require_one_clock(table.where, Rows(t[of], numbers[of], {name: values[of]}), times.clock, log_map)
+        if problems.of("order"):
+            break
+        if log_map.duplicates == SPREAD:
+            of = of[np.argsort(t[of], kind="stable")]
+            t = t.copy()
+            t[of] = spread(t[of])
+    if spread_count := int(np.sum(t != times.t)):
+        findings.append(spread_finding(spread_count))
+    frame = pandas.DataFrame({"t": t, "tag": codes, "value": values, "row": numbers})
+    duplicated = frame.duplicated(["t", "tag"])
+    if duplicated.any() and not problems.of("order"):
+        if log_map.duplicates in ("refuse", SPREAD):
+            k = int(duplicated.argmax())
+            with problems.collecting("order"):
+                raise twice(table.text(k), " ".join(log_map.time), times.clock, float(t[k]), of=f" of {names[codes[k]]}")
+        else:
+            findings.append(dropped(int(duplicated.sum()), log_map))
+    if duplicated.any():
+        which = log_map.duplicates if log_map.duplicates in ("first", "last", "mean") else "first"
+        frame = frame.groupby(["t", "tag"], sort=True, as_index=False).agg({"value": which, "row": "min"})
+    if step := step_of(frame["t"].to_numpy(), frame["tag"].to_numpy(), len(names), log_map, expected.dt):
+        rows, finding = on_grid(frame, names, step, times.clock)
+        findings.append(finding)
+        return rows
+    at, inverse = np.unique(frame["t"].to_numpy(), return_inverse=True)
+    wide = np.full((len(names), at.size), np.nan)
+    wide[frame["tag"].to_numpy(), inverse] = frame["value"].to_numpy()
+    first = frame.groupby("t", sort=True)["row"].min().to_numpy()
+    return Rows(at, first, dict(zip(names, wide, strict=True)))
 
 
 def long_rows(
     table: Table, plant: Plant, log_map: LogMap, allowed: dict[str, bool], problems: Problems, expected: Expected
 ) -> Laid:
     """A table with a value a row, whose tag states of what; what cannot be read is added to problems, and left out."""
-    import pandas
-
     needed = (*log_map.time, log_map.tag, log_map.value, *([log_map.quality] if log_map.quality else []))
     for title in needed:
         if title not in table.titles:
@@ -98,25 +190,11 @@ def long_rows(
             _apply_quality(table, log_map.quality, "", values, log_map, findings)
     if values is None or times.kind == UNKNOWN:
         problems.require_none()
-    frame = pandas.DataFrame({"t": times.t, "tag": tags, "value": values, "row": table.rows})
-    again = frame.duplicated(["t", "tag"])
-    if again.any():
-        if log_map.duplicates == "refuse":
-            k = int(again.argmax())
-            with problems.collecting("order"):
-                raise twice(table.text(k), log_map.time[0], times.clock, float(times.t[k]), of=f" of {tags[k]}")
-        findings.append(dropped(int(again.sum()), log_map))
-    grouped = frame.groupby(["t", "tag"], sort=True)["value"].agg(
-        "first" if log_map.duplicates == "refuse" else log_map.duplicates
-    )
-    wide = grouped.unstack("tag")
-    first_rows = frame.groupby("t", sort=True)["row"].min()
-    return (
-        sources,
-        Rows(wide.index.to_numpy(), first_rows.to_numpy(), {title: wide[title].to_numpy() for title in used}),
-        times,
-        findings,
-    )
+    assert values is not None
+    names = list(dict.fromkeys(tags))
+    number = {name: code for code, name in enumerate(names)}
+    codes = np.array([number[tag] for tag in tags])
+    return sources, _of_tags(table, names, codes, values, times, log_map, expected, findings, problems), times, findings
 
 
 def _numbers(table: Table, title: str, log_map: LogMap, findings: list[Finding]) -> Array:

@@ -36,6 +36,7 @@ class Column:
 
     unit: of the column; it is converted to that of the plant. "" means the unit in the column's title, otherwise the
     plant's. scale: value in that unit over the number in the log. quality: the title of the column with its quality codes.
+    time: the title of the column with its times, where it has its own.
     """
 
     sensor: str = ""
@@ -43,9 +44,10 @@ class Column:
     unit: str = ""
     scale: float = 1.0
     quality: str = ""
+    time: str = ""
 
     def __post_init__(self) -> None:
-        _require_texts("the column", self, ("sensor", "input", "unit", "quality"))
+        _require_texts("the column", self, ("sensor", "input", "unit", "quality", "time"))
         if bool(self.sensor) == bool(self.input):
             raise ValueError(
                 f'sensor is {self.sensor!r} and input {self.input!r}; expected one of them, as in {{ sensor = "TT101" }}'
@@ -77,6 +79,8 @@ class LogMap:
     theirs, or texts and numbers. duplicates: which of several values at one time counts. order: what is done with rows that
     are not in order. inputs: whether the input in a row acts from that row on ("at the sample", what historians give), or
     acted until then ("until the sample", what `simulate` writes). hold: for how long a missing input keeps its last value, s.
+    step: seconds between the rows that the values are put in, of each column or tag the nearest in time; 0: as they are, or the
+    plant's step where tags have times of their own that fall between those of others.
     mask: comparisons such as "feed < 5", in the log's unit, of rows in which the plant is not in operation.
     tag, value: titles of a long format, with one value a row. columns: what each column is, by title; for columns that are
     not among them, their own title. ValueError for anything else.
@@ -102,6 +106,7 @@ class LogMap:
     order: str = "refuse"
     inputs: str = AT_THE_SAMPLE
     hold: float = 0.0
+    step: float = 0.0
     mask: tuple[str, ...] = ()
     tag: str = ""
     value: str = ""
@@ -143,6 +148,8 @@ class LogMap:
         if not isinstance(self.unit_row, bool):
             raise ValueError(f"unit_row is {shown(self.unit_row)}; expected true or false")
         object.__setattr__(self, "hold", _seconds_of("hold", self.hold))
+        if not 0 <= number("step", self.step) < math.inf:
+            raise ValueError(f"step is {self.step}; expected seconds between rows, or 0 for the rows as they are")
         _require_encoding(self.encoding)
         zone(self.tz)
         if bool(self.tag) != bool(self.value):

@@ -59,7 +59,7 @@ def in_order(where: str, rows: Rows, clock: Clock, log_map: LogMap, findings: li
     if log_map.duplicates == SPREAD:
         t = spread(rows.t)
         if count := int(np.sum(t != rows.t)):
-            findings.append(Finding("duplicates", "", count, f"{counted(count, 'row')} of a time stated before spread evenly"))
+            findings.append(spread_finding(count))
         rows = rows._replace(t=t)
     again = np.flatnonzero(np.diff(rows.t) == 0) + 1
     if again.size:
@@ -192,6 +192,11 @@ def twice(row: str, column: str, clock: Clock, t: float, other: int | None = Non
         f"{row}, column {column}: {_at(clock, t)}{of} again{before}; times must increase: keep one row of each time, or state "
         f'duplicates = "first", "last", "mean" or "spread", evenly until the next time, in a map{zone}'
     )
+
+
+def spread_finding(count: int) -> Finding:
+    """The finding on rows whose time was another's, too."""
+    return Finding("duplicates", "", count, f"{counted(count, 'row')} of a time stated before spread evenly")
 
 
 def dropped(count: int, log_map: LogMap) -> Finding:

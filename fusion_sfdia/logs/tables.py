@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -10,6 +11,7 @@ from typing import IO, Any, NamedTuple
 
 from fusion_sfdia.core.arguments import shown, some
 from fusion_sfdia.core.detector import MissingPackageError
+from fusion_sfdia.logs.columns import split_title
 from fusion_sfdia.logs.delimited import Cells, listed, read_text
 from fusion_sfdia.logs.findings import Finding
 from fusion_sfdia.logs.kinds import ARROW, MDF, PACKED, PARQUET, TDMS, TEXT, WORKBOOK, kind_of, unpacked
@@ -18,6 +20,9 @@ from fusion_sfdia.logs.plain import last_rows, plain_table
 from fusion_sfdia.logs.ragged import cut_row, is_cut, rectangle
 from fusion_sfdia.logs.recordings import by_time, read_channels
 from fusion_sfdia.logs.workbooks import sheet_rows
+
+TIME = r"(?:date[ /_-]?time|time[ _-]?stamp|time[ _-]?string|date|time|zeitstempel|zeit)"  # titles of times
+AGAIN = re.compile(r"(.+?)(?: \(\d+\)|\.\d+)")  # a title that occurs once more, as `again` or pandas writes it
 
 
 class Table(NamedTuple):
@@ -111,7 +116,7 @@ def plain_numbers(where: str, file: IO[bytes]) -> Table | None:
             findings.append(cut_row(len(values) + 1))
             values = values[:-1]
     rows = range(2, len(values) + 2)
-    return Table(where, _titles(where, titles), list(values.T), rows, [""] * len(titles), tuple(findings))
+    return Table(where, _titles(where, titles, PLAIN_MAP), list(values.T), rows, [""] * len(titles), tuple(findings))
 
 
 def _of_rows(where: str, cells: Cells, log_map: LogMap) -> Table:
@@ -122,7 +127,7 @@ def _of_rows(where: str, cells: Cells, log_map: LogMap) -> Table:
     found = rectangle(where, cells, log_map, findings)
     columns = [[row[i] for _, row in found.rows] for i in range(len(found.titles))]
     rows = [n for n, _ in found.rows]
-    return Table(where, _titles(where, found.titles), columns, rows, found.units, tuple(findings), found.short)
+    return Table(where, _titles(where, found.titles, log_map), columns, rows, found.units, tuple(findings), found.short)
 
 
 def _of_recording(where: str, file: IO[bytes], kind: str, log_map: LogMap) -> Table:
@@ -133,7 +138,7 @@ def _of_recording(where: str, file: IO[bytes], kind: str, log_map: LogMap) -> Ta
     stamps = columns[0].dtype.kind == "M"
     times = pandas.Series(columns[0]).dt.tz_localize("UTC") if stamps else columns[0]
     rows = range(1, len(times) + 1)
-    return Table(where, _titles(where, titles), [times, *columns[1:]], rows, units, tuple(findings))
+    return Table(where, _titles(where, titles, log_map), [times, *columns[1:]], rows, units, tuple(findings))
 
 
 def _parquet(where: str, file: IO[bytes], form: str = "parquet") -> Any:
@@ -159,15 +164,27 @@ def _of_frame(where: str, frame: Any, log_map: LogMap) -> Table:
     index = frame.index
     if not set(log_map.time) <= named and (index.dtype.kind in "mM" or index.name in log_map.time):
         titles, columns = [*titles, log_map.time[0]], [*columns, index]
-    elif not set(log_map.time) & named:
+    elif not set(log_map.time) & named and sum(bool(re.search(rf"\b{TIME}\b", t, re.I)) for t in titles) < 2:
         raise ValueError(
             f"{where}: no column {log_map.time[0]!r} among {some(titles)}, and its index has the name {index.name!r}; give the "
             "column of the times (s) that name, or the index: frame.rename_axis('time')"
         )
-    return Table(where, _titles(where, titles), columns, range(1, len(frame) + 1), [""] * len(titles))
+    return Table(where, _titles(where, titles, log_map), columns, range(1, len(frame) + 1), [""] * len(titles))
 
 
-def _titles(where: str, titles: list[str]) -> list[str]:
+def again(titles: Sequence[str], log_map: LogMap) -> list[str]:
+    """Titles of which those of times that occur again are numbered: Timestamp, Timestamp (2)."""
+    found: list[str] = []
+    for title in titles:
+        name, count = split_title(title)[0], titles.count(title)
+        is_time = count > 1 and (name in log_map.time or re.fullmatch(TIME, name, re.I))
+        number = sum(split_title(AGAIN.sub(r"\1", t))[0] == name for t in found) + 1 if is_time else 1
+        found.append(f"{title} ({number})" if number > 1 else title)
+    return found
+
+
+def _titles(where: str, titles: list[str], log_map: LogMap) -> list[str]:
+    titles = again(titles, log_map)
     for i, title in enumerate(titles):
         if title and title in titles[:i]:
             raise ValueError(f"{where}: the column {shown(title)} occurs twice; keep one")

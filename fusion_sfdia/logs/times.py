@@ -196,7 +196,7 @@ def times_of(
     titles: Sequence[str],
     unit: str,
     log_map: LogMap,
-    tags: Sequence[str] | None = None,
+    tags: Sequence[str] | Array | None = None,
     expected: Expected = ANY,
 ) -> Times:
     """Return the times of a table from the columns of these titles, one, or two that are joined.
@@ -220,7 +220,7 @@ def times_of(
 
 
 def _of_stamps(
-    table: Table, title: str, stamps: Array, own: tzinfo | None, log_map: LogMap, tags: Sequence[str] | None, kind: str
+    table: Table, title: str, stamps: Array, own: tzinfo | None, log_map: LogMap, tags: Sequence[str] | Array | None, kind: str
 ) -> Times:
     """Stamps in UTC where `own` is the zone that they state; local ones otherwise, in the zone of the map if it has one."""
     if own is None and log_map.tz:
@@ -229,7 +229,7 @@ def _of_stamps(
 
 
 def _of_numbers(
-    table: Table, title: str, column: Any, unit: str, log_map: LogMap, tags: Sequence[str] | None, expected: Expected
+    table: Table, title: str, column: Any, unit: str, log_map: LogMap, tags: Sequence[str] | Array | None, expected: Expected
 ) -> Times:
     try:
         values, _ = Numbers(log_map.decimal, log_map.thousands).column(column)
@@ -270,7 +270,7 @@ def _of_numbers(
     return found._replace(numbers=values, taken=count.name, stated=bool(given))
 
 
-def _of_texts(table: Table, title: str, texts: list[str], log_map: LogMap, tags: Sequence[str] | None) -> Times:
+def _of_texts(table: Table, title: str, texts: list[str], log_map: LogMap, tags: Sequence[str] | Array | None) -> Times:
     import pandas
 
     if not log_map.format:
@@ -316,7 +316,7 @@ def _of_texts(table: Table, title: str, texts: list[str], log_map: LogMap, tags:
     return _of_stamps(table, title, plain, None, log_map, tags, "stamps")
 
 
-def _of_day(table: Table, title: str, texts: Sequence[str], tags: Sequence[str] | None) -> Times:
+def _of_day(table: Table, title: str, texts: Sequence[str], tags: Sequence[str] | Array | None) -> Times:
     """Times of day without a date; hours from 24 on are of a duration."""
     seconds = np.empty(len(texts))
     for k, text in enumerate(texts):
@@ -328,7 +328,7 @@ def _of_day(table: Table, title: str, texts: Sequence[str], tags: Sequence[str] 
     return _over_midnights(seconds, tags)
 
 
-def _over_midnights(seconds: Array, tags: Sequence[str] | None) -> Times:
+def _over_midnights(seconds: Array, tags: Sequence[str] | Array | None) -> Times:
     """Seconds since midnight as seconds since the midnight before the first row: a jump back by half a day is a new day."""
     t, days = seconds.copy(), 0
     for rows in _by_tag(tags, seconds.size):
@@ -344,7 +344,7 @@ def _over_midnights(seconds: Array, tags: Sequence[str] | None) -> Times:
     return Times(t, Clock(), "times of day", notes=(Finding("no date", "", days, text),))
 
 
-def _by_tag(tags: Sequence[str] | None, count: int) -> Iterator[Array]:
+def _by_tag(tags: Sequence[str] | Array | None, count: int) -> Iterator[Array]:
     """The rows of each tag in their order; of a table without tags all rows."""
     if tags is None:
         yield np.arange(count)
@@ -373,7 +373,7 @@ def _expected(texts: Sequence[str], k: int) -> str:
     return "a finite number of seconds, or a time as 2026-03-01 14:20:05: state its format in a map"
 
 
-def _localised(table: Table, title: str, stamps: Array, tz: str, tags: Sequence[str] | None) -> Array:
+def _localised(table: Table, title: str, stamps: Array, tz: str, tags: Sequence[str] | Array | None) -> Array:
     """Local stamps in UTC; of an hour that the zone has twice, the order of the rows tells which."""
     import pandas
 

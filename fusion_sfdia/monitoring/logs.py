@@ -11,6 +11,7 @@ from fusion_sfdia.core.linear import linear_plant
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.logs.columns import split_title
 from fusion_sfdia.logs.findings import LoadedLog
+from fusion_sfdia.logs.grid import tagged
 from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap
 from fusion_sfdia.logs.reading import read_log
 from fusion_sfdia.logs.tables import read_table
@@ -25,8 +26,8 @@ def signals_of(
     inputs, ignore: names of columns that are inputs, and that are neither. log_map: where it names columns these alone are
     sensors and inputs, by their names there. ValueError for names that are not in the log, and where no sensor is left.
     """
-    table = read_table(source, log_map)
-    units = {title: split_title(title)[1] or unit for title, unit in zip(table.titles, table.units, strict=True)}
+    table, log_map, _ = found_times = tagged(read_table(source, log_map), log_map)
+    units = {title: split_title(title)[1] or unit for title, unit in zip(*found_times.header, strict=True)}
     by_name = {split_title(title)[0]: unit for title, unit in units.items()}
     if log_map.columns:
         found = {c.name: c.unit or units.get(t, "") or by_name.get(t, "") for t, c in log_map.columns.items()}

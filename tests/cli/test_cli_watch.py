@@ -153,3 +153,33 @@ def test_a_map_states_how_rows_are_written(
     np.testing.assert_array_equal(isolated, expected.decisions.isolated)
     opened = next(e for e in found if e["event"] == "opened" and e["hypothesis"] == "l1")
     assert opened["time"] == opened["start_time"] == "2026-03-01 00:05:05+01:00"
+
+
+@pytest.mark.parametrize("stuck", ["inf", "Bad", "ON", "1.5e999", "7 bar", '"1,234"'])
+def test_a_sensor_that_gives_no_numbers_any_more_hides_no_fault_of_another(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], log: Path, stuck: str
+) -> None:
+    header, *rows = log.read_text().splitlines()
+    column = [title.split()[0] for title in header.split(",")].index("l2")
+    for k in range(60, len(rows)):
+        cells = rows[k].split(",")
+        cells[column] = stuck
+        rows[k] = ",".join(cells)
+    assert watched(monkeypatch, "\n".join([header, *rows, ""]).encode(), "--samples") == 0
+    out, err = capsys.readouterr()
+    found = [json.loads(line) for line in out.splitlines()]
+    assert sum(e["event"] == "sample" for e in found) == 200
+    assert {"l1", "q2"} <= {e["hypothesis"] for e in found if e["event"] == "opened"}
+    assert err.count("column l2") == 2 and "line 62, column l2 [m]: " in err and "140 values could not be used" in err
+
+
+def test_a_line_that_is_too_long_is_refused_whole(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], log: Path
+) -> None:
+    header, *rows = log.read_bytes().splitlines(keepends=True)
+    text = b"".join([header, *rows[:50], b"x" * 1_000_000 + rows[50], b"9," * 700_000 + b"\n", *rows[51:]])
+    assert watched(monkeypatch, text, "--samples") == 0
+    out, err = capsys.readouterr()
+    times = [found["t"] for found in map(json.loads, out.splitlines()) if found["event"] == "sample"]
+    assert times == [5.0 * k for k in range(1, 201) if k != 51]
+    assert err.count("it has more than 1000000 bytes; expected a row") == 2
