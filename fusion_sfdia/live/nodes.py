@@ -103,5 +103,6 @@ def _require_node(where: str, value: Any) -> None:
 
 def _address(value: Any) -> tuple[str]:
     """The id of a node in one form, "ns=0;i=85" for "i=85"."""
-    parts = sorted(part.strip() for part in (value if isinstance(value, str) else value["node"]).split(";"))
-    return (";".join(parts if any(part.startswith("ns") for part in parts) else ["ns=0", *parts]),)
+    parts = [part.strip() for part in (value if isinstance(value, str) else value["node"]).split(";")]
+    parts += [] if any(part.startswith("ns") for part in parts) else ["ns=0"]
+    return (";".join(sorted(parts, key=lambda part: not part.startswith("ns"))),)

@@ -202,6 +202,10 @@ def test_a_file_of_nodes_that_does_not_fit_is_refused(tmp_path: Path) -> None:
         (('"ns=2;s=alarm"', '"s=q2;ns=2"'), r"\[read\] q2 and \[write\] alarm both have the address"),
         (('"ns=2;s=l1.sigma"', '"ns=2;s=inflow"'), r"\[read\] inflow and \[write.l1\] sigma both have the address"),
         (('"ns=2;s=q12"', '"ns=2;s=l2"'), "sensor l2 and sensor q12 are both read from 'ns=2;s=l2'"),
+        (
+            ('"ns=2;s=l1.value", sigma = "ns=2;s=l1.sigma"', '"i=7", sigma = "ns=0;i=7"'),
+            "value and .* sigma both have the address",
+        ),
         (('"ns=2;s=q12"', '"ns=2; s=inflow"'), "sensor q12 and input inflow are both read from"),
         (("[write]", "user = 1\n[write]"), r"\[read\]: unknown name 'user'"),
     ):
