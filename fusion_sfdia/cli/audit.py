@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -80,5 +81,7 @@ def _shown(done: Iterator[Any], count: int) -> Iterator[Any]:
     from rich.console import Console
     from rich.progress import track
 
-    console = Console(stderr=True)
+    from fusion_sfdia.core.plain_text import acting
+
+    console = Console(file=acting(sys.stderr))
     yield from track(done, "auditing", count, console=console, transient=True, disable=not console.is_terminal)

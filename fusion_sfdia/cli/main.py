@@ -12,7 +12,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout
 
 from fusion_sfdia import __version__
 from fusion_sfdia.cli.audit import add_audit
@@ -27,6 +27,7 @@ from fusion_sfdia.cli.runs import add_compare, add_run
 from fusion_sfdia.cli.speed import add_bench
 from fusion_sfdia.cli.tune import add_tune
 from fusion_sfdia.cli.watch import add_watch
+from fusion_sfdia.core.plain_text import PlainStream
 from fusion_sfdia.core.references import is_reference
 from fusion_sfdia.registry import DEFAULT_DETECTOR
 
@@ -70,10 +71,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is None:
         _collect_less()
         os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is imported: matrices are small, threads would wait
-    chosen = parser().parse_args(arguments)
-    quiet = arguments is not None or chosen.command == "list"
-    with _terminated_as_interrupted(), nullcontext() if quiet else announced(detector_of(chosen)):
-        return _done(chosen)
+    with redirect_stdout(PlainStream(sys.stdout)), redirect_stderr(PlainStream(sys.stderr)):
+        chosen = parser().parse_args(arguments)
+        quiet = arguments is not None or chosen.command == "list"
+        with _terminated_as_interrupted(), nullcontext() if quiet else announced(detector_of(chosen)):
+            return _done(chosen)
 
 
 def detector_of(chosen: argparse.Namespace) -> str | None:

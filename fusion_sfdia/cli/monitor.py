@@ -45,6 +45,7 @@ def _monitor(chosen: argparse.Namespace) -> int:
 
 def _diagnose(chosen: argparse.Namespace, out: Path) -> int:
     from fusion_sfdia.core.files import all_or_none, atomic_write
+    from fusion_sfdia.core.plain_text import cell, plain
     from fusion_sfdia.logs.log_map import PLAIN_MAP, load_map
     from fusion_sfdia.monitoring.logs import load, signals_of
     from fusion_sfdia.monitoring.monitor import learn_monitor
@@ -70,8 +71,7 @@ def _diagnose(chosen: argparse.Namespace, out: Path) -> int:
         write_diagnosis(new, monitor.choice.plant, found.log.y, found.log.u, found.diagnosis, about)
         with atomic_write(new / "methods.csv") as file:
             table = csv.writer(file, lineterminator="\n")
-            table.writerow(header)
-            table.writerows(rows)
+            table.writerows([v if not isinstance(v, str) else cell(plain(v)) for v in row] for row in (header, *rows))
         with atomic_write(new / "monitor.txt") as file:
             file.write(f"{monitor}\n\n{found}\n")
     say(f"{monitor}\n\n{found}\n{', '.join((*OWN_FILES, *FILES))}: in {out}")

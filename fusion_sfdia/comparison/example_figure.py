@@ -21,7 +21,7 @@ from fusion_sfdia.comparison.rows import exact_isolation
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.experiments.scenario import Settings
 from fusion_sfdia.report.content import Figure
-from fusion_sfdia.report.plots import number_decades
+from fusion_sfdia.report.plots import entry, number_decades
 
 Array = NDArray[Any]
 
@@ -65,7 +65,7 @@ def draw_example(plant: Plant, examples: Mapping[str, Mapping[str, Array]], name
     titled(scores, "Largest residual over its threshold: an alarm above 1", "residual / threshold")
     for name, one in sorted(examples.items(), key=lambda item: item[0] in named):  # the named on top
         look = {k: v for k, v in look_of[name].items() if k in ("color", "linestyle")} if name in named else {"color": GREY}
-        label = name if name in named else None
+        label = entry(name) if name in named else None
         restored.plot(t, one[f"{PREFIX}reconstruction"], linewidth=1.3, label=label, **look)
         scores.plot(t, np.maximum(one[f"{PREFIX}score"], LEAST_SCORE), linewidth=1.3, label=label, **look)
     if set(examples) - set(named):

@@ -18,7 +18,7 @@ from fusion_sfdia.comparison.protocol import GRADED, HEALTHY, LENGTH, PROCESS
 from fusion_sfdia.comparison.rows import Measure, confusion
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.metrics import Estimate
-from fusion_sfdia.report.plots import number_decades, panels
+from fusion_sfdia.report.plots import entry, number_decades, panels
 
 Array = NDArray[Any]
 Cells = Mapping[tuple[str, str], ComparisonCell]
@@ -83,7 +83,7 @@ def draw_roc(cells: Mapping[str, ComparisonCell], conditions: Sequence[str], nam
             curve = metrics.roc(scores, active)
             style = {k: v for k, v in look[detector].items() if k != "marker"}
             shown = detector if detector in named else OTHERS
-            axis.plot(*curve[:2], label=shown, drawstyle="steps-post", **style)
+            axis.plot(*curve[:2], label=entry(shown), drawstyle="steps-post", **style)
         chance = np.geomspace(1e-4, 1.0, 100)
         axis.plot(chance, chance, color="0.6", linewidth=0.8)
         least = min(1.0 / cell["trunk"].size for cell in cells.values())
@@ -126,7 +126,7 @@ def draw_magnitudes(cells: Mapping[str, ComparisonCell], named: Collection[str])
                 values = [e.value if e.n >= LEAST else np.nan for e in found]
                 shift = 1.0 + 0.02 * (i - len(cells) / 2)  # lines that coincide stay visible
                 shown = detector if detector in named else OTHERS
-                axis.plot(np.array(sizes) * shift, values, markersize=3.5, linewidth=1.2, label=shown, **look[detector])
+                axis.plot(np.array(sizes) * shift, values, markersize=3.5, linewidth=1.2, label=entry(shown), **look[detector])
             axis.set_xscale("log")
             axis.xaxis.set_minor_formatter(NullFormatter())
             axis.set_xticks(sizes, [f"{m:g}" for m in sizes])
@@ -219,7 +219,7 @@ def draw_cost(cells: Mapping[str, ComparisonCell], score: Mapping[str, Estimate]
         filled = look[detector]["linestyle"] == "-"
         axis.errorbar(
             cells[detector].step_seconds * 1e3, e.value, spread, linestyle="none", markersize=6, elinewidth=0.8, capsize=2,
-            mfc=style["color"] if filled else "white", label=detector, **style,
+            mfc=style["color"] if filled else "white", label=entry(detector), **style,
         )  # fmt: skip
     axis.set(xscale="log", ylim=(-0.03, 1.03), xlabel="processor time of a step (ms)", ylabel="samples with exact isolation")
     number_decades(axis.xaxis)

@@ -184,7 +184,7 @@ def _through(path: Path, mode: Literal["w", "wb"]) -> Iterator[IO[Any]]:
 
 
 def _text(mode: str) -> dict[str, Any]:
-    return {} if "b" in mode else {"encoding": "utf-8", "newline": ""}
+    return {} if "b" in mode else {"encoding": "utf-8", "newline": "", "errors": "backslashreplace"}
 
 
 def require_free(out: Path, *, force: bool = False) -> None:

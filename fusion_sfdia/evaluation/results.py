@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from fusion_sfdia.core.files import atomic_write
+from fusion_sfdia.core.plain_text import cell, plain, uncell
 from fusion_sfdia.evaluation.metrics import Estimate
 
 COLUMNS = (
@@ -117,8 +118,8 @@ def write_rows(path: Path, rows: Iterable[Row]) -> None:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(COLUMNS)
         for row in rows:
-            cells = row.columns
-            table.writerow(["" if cells[c] is None else repr(cells[c]) if c in NUMBERS else cells[c] for c in COLUMNS])
+            cells = [row.columns[c] for c in COLUMNS]
+            table.writerow(["" if v is None else cell(plain(v)) if isinstance(v, str) else repr(v) for v in cells])
 
 
 def read_rows(path: Path) -> list[Row]:
@@ -134,11 +135,11 @@ def read_rows(path: Path) -> list[Row]:
     for number, line in enumerate(lines[1:], start=2):
         try:
             cells = dict(zip(COLUMNS, line, strict=True))
-            names: dict[str, Any] = {c: cells[c] for c in NAMES}
+            names: dict[str, Any] = {c: uncell(cells[c]) for c in NAMES}
             value, low, high = (float(cells[c] or "nan") for c in ("value", "low", "high"))
             published = float(cells["published"]) if cells["published"] else None
             numbers: dict[str, Any] = {"value": value, "low": low, "high": high, "n": int(cells["n"]), "published": published}
-            rows.append(Row(**names, **numbers, source=cells["source"]))
+            rows.append(Row(**names, **numbers, source=uncell(cells["source"])))
         except ValueError as error:
             raise ValueError(f"{path}, row {number}: {error}; write it with write_rows") from error
     return rows

@@ -6,6 +6,7 @@ The bits of metrics.csv do not depend on the number of workers: see `workers`. A
 from __future__ import annotations
 
 import platform
+import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -21,6 +22,7 @@ from threadpoolctl import threadpool_limits
 
 import fusion_sfdia
 from fusion_sfdia.core.files import all_or_none, locked
+from fusion_sfdia.core.plain_text import acting
 from fusion_sfdia.evaluation.results import Row, write_rows
 from fusion_sfdia.experiments.cluster import connected
 from fusion_sfdia.experiments.drawing import draw_figures
@@ -248,7 +250,7 @@ def _named(value: Any) -> str:
 @contextmanager
 def _progress(total: int, done: int) -> Iterator[Progress]:
     """A progress bar on a terminal, nothing elsewhere."""
-    console = Console(stderr=True)
+    console = Console(file=acting(sys.stderr))
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
         bar.add_task("running", total=total, completed=done)

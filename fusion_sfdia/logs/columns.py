@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from typing import NamedTuple
 
 from fusion_sfdia.core.arguments import require_unique, shown, some
+from fusion_sfdia.core.plain_text import uncell
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.logs.conversion import Conversion, conversion
@@ -161,7 +162,7 @@ def split_title(title: str) -> tuple[str, str]:
     """Return name and unit of "name [unit]"; the unit is "" where there is none."""
     match = re.fullmatch(r"\s*(.*?)\s*(?:\[([^\[\]]*)\])?\s*", title, flags=re.DOTALL)
     name, unit = match.groups() if match else (title, None)
-    return name, (unit or "").strip()
+    return uncell(name), (unit or "").strip()
 
 
 def _lacking_titles(header: Sequence[str], log_map: LogMap) -> list[str]:

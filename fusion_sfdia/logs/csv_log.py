@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.arguments import floats
 from fusion_sfdia.core.files import atomic_write
 from fusion_sfdia.core.log import TIME, Log
+from fusion_sfdia.core.plain_text import cell, plain
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.logs.log_map import LogMap
@@ -64,7 +65,8 @@ def write_lines(path: Path, header: Sequence[str], count: int, lines: Callable[[
 
 
 def quoted(text: str) -> str:
-    """A text as a cell."""
+    """A text as a cell, in which a spreadsheet and a terminal see nothing but text."""
+    text = cell(plain(text))
     return f'"{text.replace(chr(34), 2 * chr(34))}"' if any(c in text for c in ',"\r\n') else text
 
 

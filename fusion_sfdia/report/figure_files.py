@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import gc
 import io
+import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.ticker import Formatter, NullFormatter
 
 from fusion_sfdia.core.files import atomic_write
+from fusion_sfdia.core.plain_text import plain
 from fusion_sfdia.report.plots import style
 
+SUPERSCRIPTS = str.maketrans("-.0123456789", "⁻·⁰¹²³⁴⁵⁶⁷⁸⁹")
 SVG_DPI = 72  # of matplotlib's SVG, whose unit is the point
 
 
@@ -31,6 +37,7 @@ def figure_svg(name: str, draw: Callable[[], Figure], png: io.BytesIO | None = N
     svg = io.BytesIO()
     with style(name):
         figure = draw()
+        _as_text(figure)
         _lay_out(figure)
         figure.savefig(svg, format="svg", metadata={"Date": None})
         if png is not None:
@@ -38,6 +45,50 @@ def figure_svg(name: str, draw: Callable[[], Figure], png: io.BytesIO | None = N
     del figure
     gc.collect(0)  # thousands of objects that refer to each other, and a picture of megabytes
     return svg.getvalue().decode()
+
+
+class _AsText(Formatter):
+    """The labels of another formatter of ticks as `plain` text, powers of ten as 10⁻³, as no text is taken for a formula."""
+
+    def __init__(self, of: Formatter) -> None:
+        self.of = of
+        self.set_axis(of.axis)
+
+    def set_axis(self, axis: Any) -> None:
+        super().set_axis(axis)
+        self.of.set_axis(axis)
+
+    def set_locs(self, locs: Any) -> None:
+        self.of.set_locs(locs)
+
+    def format_ticks(self, values: Any) -> list[str]:
+        return [_plain_power(text) for text in self.of.format_ticks(values)]
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return _plain_power(self.of(x, pos))
+
+    def get_offset(self) -> str:
+        return self.of.get_offset()
+
+
+def _plain_power(text: str) -> str:
+    if (found := re.fullmatch(r"\$\\mathdefault\{([-0-9.e]*(\\times)?[0-9.]*(\^\{[-0-9.]+\})?)\}\$", text)) is None:
+        return plain(text)
+    known = found[1].replace(r"\times", "×")
+    return re.sub(r"\^\{(-?[0-9.]+)\}", lambda power: power[1].translate(SUPERSCRIPTS), known)
+
+
+def _as_text(figure: Figure) -> None:
+    """Have every text of a figure drawn as it is, and characters on which a viewer acts by their numbers."""
+    for text in figure.findobj(Text):
+        if isinstance(text, Text) and (shown := plain(text.get_text())) != text.get_text():
+            text.set_text(shown)
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            if not isinstance(major := axis.get_major_formatter(), _AsText | NullFormatter):
+                axis.set_major_formatter(_AsText(major))
+            if not isinstance(minor := axis.get_minor_formatter(), _AsText | NullFormatter):
+                axis.set_minor_formatter(_AsText(minor))
 
 
 def _lay_out(figure: Figure) -> None:

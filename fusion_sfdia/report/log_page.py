@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -21,7 +20,7 @@ from fusion_sfdia.evaluation.diagnose import Diagnosis
 from fusion_sfdia.evaluation.events import Event, ProcessEvent, with_spread, with_unit
 from fusion_sfdia.report.figure_files import figure_svg
 from fusion_sfdia.report.log_figures import overview, time_line, zoom
-from fusion_sfdia.report.page import inline, part
+from fusion_sfdia.report.page import inline, page_environment, part
 from fusion_sfdia.report.plots import panels
 
 MOST_EVENTS = 200
@@ -62,26 +61,29 @@ def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosi
         _drawn(f"zoom-{k}", f"{name}: {_extents(own)}", partial(zoom, plant, y, found, own), _caption(found, own))
         for k, (name, own) in enumerate(list(grouped.items())[:MOST_ZOOMS])
     ]
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    page = environment.from_string(part("log_page.html.j2")).render(
-        css=Markup(part("page.css")),
-        about=about,
-        health=_sentence(found.health.line if found.health else "model not tested"),
-        suspect=found.health is None or found.health.suspect,
-        verdict=f"{found.verdict}.",
-        samples=len(found.t),
-        sensors=len(plant.sensors),
-        plant=plant.name,
-        start=found.clock.at(float(found.t[0])),
-        end=found.clock.at(float(found.t[-1])),
-        remarks=[*found.remarks, *about.notes],
-        events=[_row(found, e) for e in shown],
-        hidden=len(found.events) - len(shown),
-        lines=lines,
-        strips=strips,
-        zooms=zooms,
-        unseen=max(0, len(grouped) - MOST_ZOOMS),
-        version=__version__,
+    page = (
+        page_environment()
+        .from_string(part("log_page.html.j2"))
+        .render(
+            css=Markup(part("page.css")),
+            about=about,
+            health=_sentence(found.health.line if found.health else "model not tested"),
+            suspect=found.health is None or found.health.suspect,
+            verdict=f"{found.verdict}.",
+            samples=len(found.t),
+            sensors=len(plant.sensors),
+            plant=plant.name,
+            start=found.clock.at(float(found.t[0])),
+            end=found.clock.at(float(found.t[-1])),
+            remarks=[*found.remarks, *about.notes],
+            events=[_row(found, e) for e in shown],
+            hidden=len(found.events) - len(shown),
+            lines=lines,
+            strips=strips,
+            zooms=zooms,
+            unseen=max(0, len(grouped) - MOST_ZOOMS),
+            version=__version__,
+        )
     )
     with atomic_write(path) as file:
         file.write(page)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.detector import Detector, chosen
 from fusion_sfdia.core.files import all_or_none, atomic_write, locked
+from fusion_sfdia.core.plain_text import acting, cell, plain
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.verdicts import Verdict
 from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run, present
@@ -90,7 +91,7 @@ def progress(steps: Sequence[int]) -> Iterable[int]:
     from rich.console import Console
     from rich.progress import track
 
-    console = Console(stderr=True)  # which may be told that a terminal is none
+    console = Console(file=acting(sys.stderr))  # which may be told that a terminal is none
     return track(steps, "diagnosing", console=console, transient=True) if console.is_terminal else steps
 
 
@@ -149,14 +150,14 @@ def _write_scores(path: Path, plant: Plant, found: Diagnosis) -> None:
 def _write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     with atomic_write(path) as file:
         table = csv.writer(file, lineterminator="\n")
-        table.writerow(header)
+        table.writerow(map(_cell, header))
         table.writerows(map(_cell, row) for row in rows)
 
 
 def _cell(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
-    return repr(float(value)) if isinstance(value, float) else str(value)
+    return repr(float(value)) if isinstance(value, float) else cell(plain(str(value))) if isinstance(value, str) else str(value)
 
 
 def draw(plant: Plant, y: NDArray[np.float64], found: Diagnosis) -> Figure:

@@ -15,6 +15,7 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from fusion_sfdia.core.files import atomic_write
+from fusion_sfdia.core.plain_text import plain
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.report.content import Figure, Summary
 
@@ -58,7 +59,7 @@ class Section:
 
 def write_report(path: Path, command: str, sections: list[Section], manifest: dict[str, Any]) -> None:
     """Write report.html, whole or not at all; every name and text is escaped."""
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment = page_environment()
     environment.filters.update(number=number, interval=interval, setting=_setting, sort_key=_sort_key)
     page = environment.from_string(part("page.html.j2")).render(
         css=Markup(part("page.css")),
@@ -73,6 +74,15 @@ def write_report(path: Path, command: str, sections: list[Section], manifest: di
     )
     with atomic_write(path) as file:
         file.write(page)
+
+
+def page_environment() -> Environment:
+    """How pages are made of templates: every text of others is escaped, and shown as `plain` text; Markup is our own."""
+    return Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=_finalized)
+
+
+def _finalized(value: Any) -> Any:
+    return plain(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
 def part(name: str) -> str:
@@ -135,5 +145,5 @@ def inline(svg: str, name: str, alt: str) -> Markup:
     body = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{name}-", body)
     head, rest = body.split(">", 1)
     head = re.sub(r'\s(width|height)="[^"]*"', "", head)
-    described = Markup('{} role="img" aria-label="{}">{}').format(Markup(head), alt, Markup(rest))
+    described = Markup('{} role="img" aria-label="{}">{}').format(Markup(head), plain(alt), Markup(rest))
     return described

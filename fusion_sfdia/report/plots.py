@@ -42,6 +42,7 @@ STYLE: dict[Any, Any] = {
     "lines.linewidth": 1.5,
     "savefig.facecolor": "white",
     "svg.fonttype": "path",
+    "text.parse_math": False,  # a title with two $ is no formula
 }
 
 
@@ -103,11 +104,16 @@ def panels(titles: Sequence[str], *, columns: int = 2, width: float = 7.2, heigh
     return figure, list(grid[: len(titles)])
 
 
+def entry(name: str | None) -> str | None:
+    """A name as the label of an entry of a legend, from which matplotlib leaves out what begins with an underscore."""
+    return f"\u2009{name}" if name is not None and name.startswith("_") else name
+
+
 def roc_curves(axes: Axes, curves: Mapping[str, tuple[Array, Array]]) -> None:
     """Detection against false-alarm probability: {label: (false alarms (n,), detections (n,))}, with the diagonal of chance."""
     for i, (label, (false_alarm, detection)) in enumerate(curves.items()):
         axes.plot(
-            false_alarm, detection, color=COLOURS[i % len(COLOURS)], linestyle=DASHES[i % len(DASHES)], label=label
+            false_alarm, detection, color=COLOURS[i % len(COLOURS)], linestyle=DASHES[i % len(DASHES)], label=entry(label)
         )  # fmt: skip
     chance = np.append(0.0, np.geomspace(1e-6, 1.0, 200))  # a curve, where an axis is logarithmic
     axes.plot(chance, chance, color="0.6", linewidth=0.8)
@@ -152,7 +158,7 @@ def bars(axes: Axes, groups: Sequence[str], series: Sequence[Bars], *, ylabel: s
         x = np.arange(len(groups)) + (i - (len(series) - 1) / 2) * width
         value = np.asarray(one.value, dtype=float)
         spread = np.stack([value - np.asarray(one.low, dtype=float), np.asarray(one.high, dtype=float) - value])
-        axes.bar(x, np.nan_to_num(value), width * 0.9, color=COLOURS[i % len(COLOURS)], label=one.label)
+        axes.bar(x, np.nan_to_num(value), width * 0.9, color=COLOURS[i % len(COLOURS)], label=entry(one.label))
         known = np.all(np.isfinite(spread), axis=0)
         if known.any():
             axes.errorbar(
@@ -214,9 +220,9 @@ def time_series(
 ) -> None:
     """Signals (K,) over t (K,) in s; spans (s): when a fault acts; levels: horizontal lines by name; at: how t is drawn."""
     for i, (label, values) in enumerate(series.items()):
-        axes.plot(at(t), values, color=COLOURS[i % len(COLOURS)], linestyle=DASHES[i % len(DASHES)], label=label)
+        axes.plot(at(t), values, color=COLOURS[i % len(COLOURS)], linestyle=DASHES[i % len(DASHES)], label=entry(label))
     for i, (name, level) in enumerate((levels or {}).items()):
-        axes.axhline(level, color="black", linestyle=DASHES[-1 - i % len(DASHES)], linewidth=1, label=name)
+        axes.axhline(level, color="black", linestyle=DASHES[-1 - i % len(DASHES)], linewidth=1, label=entry(name))
     shade(axes, [(float(at(start)), float(at(end))) for start, end in spans], color="0.85", zorder=0, label="fault acts")
     axes.set_ylabel(ylabel)
     at.label_on(axes)

@@ -108,7 +108,7 @@ def parts_figure(kinds: Parts) -> Figure:
             labels = [f"{s},\n{'alone' if w == ALONE else 'agreed'}" for s, w in groups]
             panel.set_xticks(range(len(groups)), labels, fontsize=7)
             panel.grid(visible=False, axis="x")
-            panel.set_ylabel("variance ($10^{-4}$ rad$^2$)")
+            panel.set_ylabel("variance (10⁻⁴ rad²)")
         legend_above(figure)
         return figure
 

@@ -32,10 +32,10 @@ from fusion_sfdia.report.findings import span
 from fusion_sfdia.report.plots import COLOURS, MARKERS, Bars, bars, legend_above, panels
 
 SYMBOLS = {  # of the groups of components
-    **{f"theta, {k} sharers": f"$\\theta$\n{k} sharers" for k in (2, 3, 4)},
-    "omega": "$\\omega$",
-    "p_m": "$p_m$",
-    "p_v": "$p_v$",
+    **{f"theta, {k} sharers": f"θ\n{k} sharers" for k in (2, 3, 4)},
+    "omega": "ω",
+    "p_m": "pₘ",
+    "p_v": "pᵥ",
 }
 LABELS = {
     PAPER.name: "as printed, memory 0.3",
@@ -65,7 +65,7 @@ def groups_figure(rates: Rates) -> Figure:
                 found = [_one(rates, Counted(SINGLE, v.name, q, noise, law, B18_ALPHA)) for q in SYMBOLS]
                 series.append(Bars(LABELS[v.name], *_limits(found), [np.nan] * len(found)))
             bars(panel, list(SYMBOLS.values()), series, ylabel="")
-            panel.axhline(1 / B18_ALPHA**2, color="black", linestyle="--", linewidth=1, label="claim $1/\\alpha^2$")
+            panel.axhline(1 / B18_ALPHA**2, color="black", linestyle="--", linewidth=1, label="claim 1/α²")
             panel.tick_params(axis="x", labelsize=7)
             panel.set(ylabel="false alarms per step", ylim=(0, 0.27))
         legend_above(figure)
@@ -116,7 +116,7 @@ def consecutive_figure(rates: Rates) -> Figure:
     runs = [where for where in SHOCKED if chosen(rates, metric=CONSECUTIVE, noise=where[0], law=where[1], alpha=ALPHAS[1], q=3)]
 
     def draw() -> Drawing:
-        figure, axes = panels([f"$\\alpha$ = {a:g}" for a in ALPHAS], columns=3, width=9.6, height=3.0)
+        figure, axes = panels([f"α = {a:g}" for a in ALPHAS], columns=3, width=9.6, height=3.0)
         q = np.array([1, 2, 3])
         for panel, alpha in zip(axes, ALPHAS, strict=True):
             for i, where in enumerate(runs):
