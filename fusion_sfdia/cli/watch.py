@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from contextlib import nullcontext
+from datetime import UTC, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -126,7 +127,10 @@ def _watched(chosen: argparse.Namespace) -> int:
 def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap) -> None:
     from fusion_sfdia.live.rows import TextRows, lines
 
-    rows = TextRows(saved.watch.detector.plant, log_map, **columns(chosen), refused=saved.watch.refused)
+    watch = saved.watch
+    rows = TextRows(watch.detector.plant, log_map, **columns(chosen), refused=watch.refused)
+    if watch.clock.start is not None and watch.t is not None:
+        rows.last = watch.clock.start.astimezone(UTC) + timedelta(seconds=watch.t)
     for number, line in enumerate(lines(sys.stdin.buffer, LONGEST_LINE), start=1):
         try:
             if line is None:

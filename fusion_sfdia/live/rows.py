@@ -6,24 +6,33 @@ import csv
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from datetime import datetime
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import shown
+from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.live.readings import Reader, json_value
 from fusion_sfdia.live.tables import units_of
 from fusion_sfdia.logs.columns import find_sources, require_columns_of
+from fusion_sfdia.logs.epochs import unix
+from fusion_sfdia.logs.findings import MISREAD
 from fusion_sfdia.logs.log_map import MASK, PLAIN_MAP, SPREAD, LogMap
 from fusion_sfdia.logs.mask import COMPARISONS, mask_titles
 from fusion_sfdia.logs.numbers import Numbers, good_codes
+from fusion_sfdia.logs.order import HOUR, places_changing
+from fusion_sfdia.logs.overview import suspected_times
 from fusion_sfdia.logs.problems import Problems
 from fusion_sfdia.logs.rows import RowReader
+from fusion_sfdia.logs.times import Expected, Times
 
 Array = NDArray[Any]
+
+ROWS = 20  # at the beginning, by which times are judged
 
 
 def lines(stream: BinaryIO, longest: int) -> Iterator[bytes | None]:
@@ -46,7 +55,9 @@ class TextRows:
     A cell that is no number is a missing value; the first of each column is said to `refused`, and at the end, see `end`, how
     many there were. Its hold, inputs and duplicates are for the Watch; order is that of a Watch, whatever the map has.
     ValueError for a map of a long format.
-    absent_sensors, other_columns, nominal_inputs: as in `load_log`.
+    absent_sensors, other_columns, nominal_inputs: as in `load_log`. The attribute `last` is the time of the row before, which a
+    watch that goes on sets: of an hour that the zone of the map has twice, the one nearer to it is meant. Times of the first
+    ROWS rows that are almost surely misread are said to `refused`; `now` is the present, None by the computer's clock.
     """
 
     def __init__(
@@ -74,6 +85,9 @@ class TextRows:
         self.header: list[str] | None = None
         self.cells: dict[str, Reader] = {}  # how each column that feeds something is read
         self.unusable: Counter[str] = Counter()  # values of each column
+        self.last: datetime | None = None  # of the rows
+        self.now: datetime | None = None
+        self.times: list[tuple[float, datetime | None, Any]] = []  # of the first rows: seconds, stamp, cell
         self.compared: dict[str, float] = {}  # the last value of what each comparison of the mask compares
 
     def row(self, line: str) -> tuple[float | datetime, Array, Array] | None:
@@ -117,14 +131,47 @@ class TextRows:
 
     def _numbers(self, row: dict[str, Any]) -> tuple[float | datetime, Array, Array]:
         assert self.reader is not None
+        near = None if self.last is None else self.last.astimezone(UTC) + timedelta(seconds=self.plant.dt)
         try:
-            seconds, stamp = self.reader.time(row)
+            seconds, stamp = self.reader.time(row, near)
         except KeyError as error:
             raise ValueError(f"no {error} among {shown(list(row))}") from error
+        if stamp is not None and self.last is not None and not self.log_map.tz:
+            self._summer_time_ends(stamp, self.last)
+        self.last = stamp or self.last
+        if len(self.times) < ROWS:
+            self.times.append((seconds, stamp, row[self.reader.sources.times[0]]))
+            if len(self.times) == ROWS:
+                self._judge_times(self.reader)
         y, u = self._values(self.reader, row)
         if self.log_map.mask and self._is_masked(self.reader, row):
             y = np.full_like(y, np.nan)
         return seconds if stamp is None else stamp, y, u
+
+    def _summer_time_ends(self, stamp: datetime, last: datetime) -> None:
+        """Say so where stamps without a zone, which are taken as UTC, go back by an hour as local ones do."""
+        back = last.timestamp() - stamp.timestamp() + self.plant.dt
+        if stamp.tzinfo is UTC and abs(back - HOUR) <= min(0.6 * self.plant.dt + 1.0, 0.1 * HOUR):
+            if places := places_changing(stamp.replace(tzinfo=None), back=True):
+                which = f"as where summer time ends ({', '.join(places)})"
+                cure = f'state the zone of the logger in a map: tz = "{places[0]}"'
+                self.refused(f"line {self.lines}: an hour comes twice, {which}: {cure}")
+
+    def _judge_times(self, reader: RowReader) -> None:
+        """Say of the times of the first rows what is said of a log's."""
+        seconds = np.sort([one for one, _, _ in self.times])
+        stamps = [stamp for _, stamp, _ in self.times if stamp is not None]
+        stated, taken, numbers = bool(self.log_map.format or reader.sources.time_unit), "s", None
+        with suppress(ValueError, TypeError, OverflowError):
+            plain = Numbers(self.log_map.decimal, self.log_map.thousands)
+            numbers = np.array([plain.cell(cell) for _, _, cell in self.times])
+            if not stated and (count := unix(numbers)) is not None:
+                taken = count.name
+        t = seconds - seconds[0] if stamps else seconds
+        times = Times(t, Clock(min(stamps) if stamps else None), taken, numbers, taken, stated)
+        for finding in suspected_times(self.plant, t, times, Expected(self.plant.dt, self.now)):
+            if finding.kind in MISREAD:
+                self.refused(f"the first {ROWS} rows: {finding.text}")
 
     def _values(self, reader: RowReader, row: dict[str, Any]) -> tuple[Array, Array]:
         """Readings (N,) and inputs (m,) of a row, NaN where a cell is missing, no number, or not of good quality."""

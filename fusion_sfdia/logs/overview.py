@@ -39,7 +39,7 @@ def overview(plant: Plant, log: Log, times: Times, expected: Expected) -> list[F
                 text += f"; an hour is missing after {clock.at(float(t[k]))}, where summer time begins in {', '.join(places)}"
                 break
         found.append(Finding("zone", "", 0, text))
-    found += [*_in_the_future(t, times, expected), *_unusual_step(plant, t, step, times, expected)]
+    found += suspected_times(plant, t, times, expected)
     gaps = np.flatnonzero(np.diff(t) > GAP * step)
     if gaps.size:
         longest = gaps[np.argmax(np.diff(t)[gaps])]
@@ -57,6 +57,12 @@ def overview(plant: Plant, log: Log, times: Times, expected: Expected) -> list[F
         text = f"{counted(total, 'reading')} missing, of {counted(int(partly.sum()), 'sensor')}"
         found.append(Finding("missing", "", total, text))
     return found
+
+
+def suspected_times(plant: Plant, t: Array, times: Times, expected: Expected) -> list[Finding]:
+    """Findings on times (K,) in order that are almost surely not what they were taken for, or whose step is not the plant's."""
+    step = float(np.median(np.diff(t))) if t.size > 1 else plant.dt
+    return [*_in_the_future(t, times, expected), *_unusual_step(plant, t, step, times, expected)]
 
 
 def _in_the_future(t: Array, times: Times, expected: Expected) -> list[Finding]:
