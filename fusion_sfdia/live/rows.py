@@ -23,7 +23,7 @@ from fusion_sfdia.logs.epochs import unix
 from fusion_sfdia.logs.findings import MISREAD
 from fusion_sfdia.logs.log_map import MASK, PLAIN_MAP, SPREAD, LogMap
 from fusion_sfdia.logs.mask import COMPARISONS, mask_titles
-from fusion_sfdia.logs.numbers import Numbers, good_codes
+from fusion_sfdia.logs.numbers import good_codes
 from fusion_sfdia.logs.order import HOUR, places_changing
 from fusion_sfdia.logs.overview import suspected_times
 from fusion_sfdia.logs.problems import Problems
@@ -125,9 +125,9 @@ class TextRows:
         with problems.collecting("mask"):
             mask_titles("the first line", titles, sources, self.log_map)  # refuses what is no column
         problems.require_none()
-        wanted, numbers = units_of(self.plant), Numbers.of(self.log_map)
-        self.cells = {c.title: Reader(wanted[c.name], c.conversion, numbers=numbers) for c in sources.columns}
-        return RowReader(self.plant, self.log_map, sources, Numbers.of(self.log_map))
+        wanted = units_of(self.plant)
+        self.cells = {c.title: Reader(wanted[c.name], c.conversion, c.numbers.states, c.numbers) for c in sources.columns}
+        return RowReader(self.plant, self.log_map, sources)
 
     def _numbers(self, row: dict[str, Any]) -> tuple[float | datetime, Array, Array]:
         assert self.reader is not None
@@ -203,11 +203,14 @@ class TextRows:
 
     def _is_masked(self, reader: RowReader, row: dict[str, Any]) -> bool:
         """Whether a comparison holds, in the units of the rows; a missing value compares as the one before it."""
-        titles, masked = {c.name: c.title for c in reader.sources.columns}, False
-        plain = Reader(numbers=reader.numbers)
+        masked = False
         for text in self.log_map.mask:
             name, comparison, limit = MASK.fullmatch(text.strip()).groups()  # type: ignore[union-attr]
-            if not np.isnan(value := plain(row.get(titles.get(name, name))).number):
+            try:
+                value = reader.compared(row, name)
+            except (ValueError, TypeError, OverflowError):  # missing
+                value = np.nan
+            if not np.isnan(value):
                 self.compared[text] = value
             masked |= text in self.compared and COMPARISONS[comparison](self.compared[text], float(limit))
         return masked

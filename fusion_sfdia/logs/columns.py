@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from difflib import get_close_matches
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from fusion_sfdia.core.arguments import require_unique, shown, some
 from fusion_sfdia.core.plain_text import uncell
@@ -14,13 +14,18 @@ from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.logs.conversion import Conversion, conversion
 from fusion_sfdia.logs.epochs import SECONDS, count_of
 from fusion_sfdia.logs.log_map import Column, LogMap
+from fusion_sfdia.logs.numbers import Numbers
 from fusion_sfdia.logs.problems import Problems
+
+BRACKET = re.compile(r"(.*?)(\s*)\[([^\[\]]*)\]", re.DOTALL)
+INDEX = re.compile(r"\s*\d+(?:\s*,\s*\d+)*\s*")
 
 
 class Source(NamedTuple):
     """A column of a log, by title, that feeds a sensor or an input, by name and position in y or u.
 
     unit: that its numbers are in once multiplied by the scale of the map. quality: title of its quality codes, or "".
+    numbers: how its cells are written. wanted: the unit of the plant.
     """
 
     title: str
@@ -30,6 +35,23 @@ class Source(NamedTuple):
     unit: str
     conversion: Conversion
     quality: str = ""
+    numbers: Numbers = Numbers()
+    wanted: str = ""
+    scale: float = 1.0
+
+    def value(self, cell: Any) -> float:
+        """The value of one cell in the unit of the plant, NaN where it is missing; ValueError for anything else."""
+        value, unit = self.numbers.quantity(cell)
+        return float((self.in_unit(unit) if unit else self.conversion)(value))
+
+    def logged(self, cell: Any) -> float:
+        """The number of one cell in the unit of the column, NaN where it is missing; ValueError for anything else."""
+        number, unit = self.numbers.quantity(cell)
+        return (self.in_unit(unit)(number) - self.conversion.offset) / self.conversion.factor if unit else number
+
+    def in_unit(self, unit: str) -> Conversion:
+        """The conversion of cells that state another unit themselves; ValueError where it does not fit the plant."""
+        return conversion(unit, self.wanted, self.scale)
 
 
 class Sources(NamedTuple):
@@ -88,8 +110,9 @@ def find_sources(
     unknown, refused = [], []
     wrong: dict[tuple[str, str, str], list[str]] = {}
     qualities = {_quality(log_map, title, log_map.columns.get(title)) for title in header} - {""}
+    known = {*own, *log_map.columns}
     for title, row_unit in zip(header, units, strict=True):
-        name, bracket = split_title(title)
+        name, bracket = split_title(title, known)
         column = log_map.columns.get(title) or log_map.columns.get(name)
         if title in times or title in qualities:
             continue
@@ -115,7 +138,9 @@ def find_sources(
         if quality and quality not in header:
             problems.add("quality", f"no column {shown(quality)} with the quality of {shown(title)}; correct the map")
             quality = ""
-        found[target] = Source(title, target, position, is_input, unit, converted, quality)
+        numbers = Numbers.of(log_map, column.states if column else None)
+        scale = column.scale if column else 1.0
+        found[target] = Source(title, target, position, is_input, unit, converted, quality, numbers, signal.unit, scale)
     if not times and not long:
         problems.add("time", _of_times(header, log_map))
         if not (found or named):
@@ -158,22 +183,33 @@ def require_columns_of(plant: Plant, log_map: LogMap) -> None:
     problems.require_none()
 
 
-def split_title(title: str) -> tuple[str, str]:
-    """Return name and unit of "name [unit]"; the unit is "" where there is none."""
-    match = re.fullmatch(r"\s*(.*?)\s*(?:\[([^\[\]]*)\])?\s*", title, flags=re.DOTALL)
-    name, unit = match.groups() if match else (title, None)
-    return uncell(name), (unit or "").strip()
+def split_title(title: str, names: Container[str] = ()) -> tuple[str, str]:
+    """Return name and unit of "name [unit]"; the unit is "" where there is none.
+
+    A title that is one of the names has no unit, and neither has an element of an array, T[1] or T[2,3]: a bracket with
+    numbers right behind a name is a unit, one, only where what is before it is one of the names and the whole is not.
+    """
+    title = uncell(title.strip())
+    match = BRACKET.fullmatch(title)
+    if title in names or match is None:
+        return title, ""
+    name, gap, unit = match.groups()
+    if not gap and INDEX.fullmatch(unit) and name not in names:
+        return title, ""
+    return name, unit.strip()
 
 
 def _lacking_titles(header: Sequence[str], log_map: LogMap) -> list[str]:
     """The columns that the map names and the header lacks."""
-    names = {*header, *(split_title(title)[0] for title in header)}
+    names = {*header, *(split_title(title, log_map.columns)[0] for title in header)}
     return [title for title in log_map.columns if title not in names]
 
 
 def _of_lacking(header: Sequence[str], log_map: LogMap, lacking: Sequence[str]) -> str:
     """The problem of columns that the map names and the header lacks, with similar ones."""
-    free = [title for title in header if not {title, split_title(title)[0]} & {*log_map.columns, *log_map.time}]
+    free = [
+        title for title in header if not {title, split_title(title, log_map.columns)[0]} & {*log_map.columns, *log_map.time}
+    ]
     near = {title: match for title in lacking for match in get_close_matches(title, free, n=1, cutoff=0.75)}
     hint = f"; did you mean {some(list(near.values()))} for {some(list(near))}?" if near else ";"
     kinds = {bool(log_map.columns[title].input) for title in lacking if title not in near}
@@ -193,11 +229,11 @@ def _of_separator(mark: str, log_map: LogMap) -> str:
 
 def _times(problems: Problems, header: Sequence[str], log_map: LogMap) -> tuple[tuple[str, ...], str]:
     """The titles of the columns of times, none where one is lacking, and the unit that the title of a single one states."""
-    by_name = {split_title(title)[0]: title for title in reversed(header)}
+    by_name = {split_title(title, log_map.time)[0]: title for title in reversed(header)}
     titles = [name if name in header else by_name.get(name, "") for name in log_map.time]
     if not all(titles):
         return (), ""
-    unit = split_title(titles[0])[1] if len(titles) == 1 else ""
+    unit = split_title(titles[0], log_map.time)[1] if len(titles) == 1 else ""
     if unit and count_of(unit) is None and not log_map.format:
         problems.add("time", f"column {log_map.time[0]!r} is in {shown(unit)}; expected one of {', '.join(SECONDS)}")
         unit = ""
@@ -206,7 +242,9 @@ def _times(problems: Problems, header: Sequence[str], log_map: LogMap) -> tuple[
 
 def _of_times(header: Sequence[str], log_map: LogMap) -> str:
     """The problem of columns of times that the header lacks."""
-    lacking = [name for name in log_map.time if name not in {*header, *(split_title(title)[0] for title in header)}]
+    lacking = [
+        name for name in log_map.time if name not in {*header, *(split_title(title, log_map.time)[0] for title in header)}
+    ]
     return (
         f"no column {some(lacking)} among {some(header)}; give the column of the times (s) that name, or state `time` in a map"
     )
@@ -215,7 +253,7 @@ def _of_times(header: Sequence[str], log_map: LogMap) -> str:
 def _quality(log_map: LogMap, title: str, column: Column | None) -> str:
     if column is not None and column.quality:
         return column.quality
-    return "" if log_map.tag else log_map.quality.replace("{column}", split_title(title)[0])
+    return "" if log_map.tag else log_map.quality.replace("{column}", split_title(title, log_map.columns)[0])
 
 
 def _add_missing(problems: Problems, plant: Plant, named: set[str], absent: bool, nominal: bool) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import shown, some
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.logs.cells import Quality, cell_units, compared_values, values_of
 from fusion_sfdia.logs.columns import Sources, find_sources, split_title
-from fusion_sfdia.logs.findings import Finding, counted
+from fusion_sfdia.logs.findings import Finding
 from fusion_sfdia.logs.grid import filled, on_grid, stacked, step_of, tagged
 from fusion_sfdia.logs.log_map import SPREAD, LogMap
 from fusion_sfdia.logs.mask import mask_titles
-from fusion_sfdia.logs.numbers import NotANumberError, Numbers, good_codes
 from fusion_sfdia.logs.order import Rows, dropped, require_one_clock, spread, spread_finding, twice
 from fusion_sfdia.logs.problems import Problems
 from fusion_sfdia.logs.tables import Table
@@ -50,14 +50,23 @@ def wide_rows(
     if sources.times and not (own or log_map.step):
         with problems.collecting("time"):
             times = times_of(table, sources.times, sources.time_unit, log_map, expected=expected)
-    for title in dict.fromkeys([*(c.title for c in sources.columns), *sources.refused, *also]):
-        with problems.collecting("cells", title):
-            values[title] = _numbers(table, title, log_map, findings)
+    read, quality = [], Quality(log_map, Counter(), [])
     for c in sources.columns:
-        if c.quality and c.title in values:
+        with problems.collecting("cells", c.title):
+            values[c.title], in_its_unit = values_of(table, c, plant, findings)
+            read.append(in_its_unit)
+    for title in dict.fromkeys([*sources.refused, *also]):
+        if title not in values:
+            with problems.collecting("cells", title):
+                values[title] = compared_values(table, title, log_map, findings)
+    for c in read:
+        if c.quality:
             with problems.collecting("quality", c.quality):
-                _apply_quality(table, c.quality, c.title, values[c.title], log_map, findings)
-    sources = sources._replace(columns=tuple(c for c in sources.columns if c.title in values))
+                quality.apply(table, c.quality, c.title, values[c.title], findings)
+    with problems.collecting("quality"):
+        quality.require_good(table.where)
+    findings += cell_units(sources.columns, read)
+    sources = sources._replace(columns=tuple(read))
     rows = Rows(times.t, np.asarray(table.rows), values)
     if sources.times and (own or log_map.step):
         with problems.collecting("time"):
@@ -172,59 +181,39 @@ def long_rows(
     if not used:
         problems.require_none()
     chosen = np.flatnonzero([tag in used for tag in tags])
-    table = table._replace(
-        columns=[[column[k] for k in chosen] for column in (list(c) for c in table.columns)],
-        rows=[table.rows[int(k)] for k in chosen],
-    )
+    table = _part(table, chosen)
     tags = [tags[k] for k in chosen]
     times = unknown_times(len(tags))
     if {*log_map.time} <= {*table.titles}:
         with problems.collecting("time"):
             times = times_of(table, log_map.time, "", log_map, tags, expected)
     findings = [*table.findings]
-    values: Array | None = None
-    with problems.collecting("cells", log_map.value):
-        values = _numbers(table, log_map.value, log_map, findings)
-    if values is not None and log_map.quality in table.titles:
-        with problems.collecting("quality", log_map.quality):
-            _apply_quality(table, log_map.quality, "", values, log_map, findings)
-    if values is None or times.kind == UNKNOWN:
-        problems.require_none()
-    assert values is not None
     names = list(dict.fromkeys(tags))
     number = {name: code for code, name in enumerate(names)}
     codes = np.array([number[tag] for tag in tags])
+    values, read, quality = np.full(len(tags), np.nan), [], Quality(log_map, Counter(), [])
+    for c in sources.columns:
+        of_tag = np.flatnonzero(codes == number[c.title])
+        with problems.collecting("cells", log_map.value):
+            one = _part(table, of_tag)
+            values[of_tag], in_its_unit = values_of(one, c._replace(title=log_map.value), plant, findings)
+            read.append(in_its_unit._replace(title=c.title))
+    for tag in {*names} - {c.title for c in sources.columns}:
+        of_tag = np.flatnonzero(codes == number[tag])
+        with problems.collecting("cells", log_map.value):
+            values[of_tag] = compared_values(_part(table, of_tag), log_map.value, log_map, findings)
+    if log_map.quality in table.titles:
+        with problems.collecting("quality", log_map.quality):
+            quality.apply(table, log_map.quality, "", values, findings)
+            quality.require_good(table.where)
+    findings += cell_units(sources.columns, read)
+    sources = sources._replace(columns=tuple(read))
+    if problems.of("cells") or times.kind == UNKNOWN:
+        problems.require_none()
     return sources, _of_tags(table, names, codes, values, times, log_map, expected, findings, problems), times, findings
 
 
-def _numbers(table: Table, title: str, log_map: LogMap, findings: list[Finding]) -> Array:
-    """A column as numbers; what stands for a missing reading is counted among the findings."""
-    try:
-        values, bad = Numbers.of(log_map).column(table.column(title))
-    except NotANumberError as error:
-        expected = "a finite number, or nothing where the reading is missing"
-        if isinstance(error.cell, str) and not re.search(r"\d", error.cell):
-            expected += "; state such a text as `bad` in a map"
-        elif isinstance(error.cell, str) and re.search(r"\d[.,' ]\d", error.cell):
-            expected += f" (decimal is {log_map.decimal!r}: a map states another)"
-        raise ValueError(f"{table.text(error.position)}, column {title}: {shown(error.cell)}; expected {expected}") from error
-    if bad.any():
-        findings.append(Finding("bad", title, int(bad.sum()), f"{title}: {counted(int(bad.sum()), 'value')} marked as bad"))
-    return values
-
-
-def _apply_quality(table: Table, title: str, of: str, values: Array, log_map: LogMap, findings: list[Finding]) -> None:
-    """Make the values missing whose quality is not good."""
-    try:
-        poor = ~good_codes(table.column(title), log_map.good)
-    except NotANumberError as error:
-        raise ValueError(
-            f"{table.text(error.position)}, column {title}: {shown(error.cell)} as quality; state which codes are good: "
-            'good = "opc-da", "opc-ua" or a list, in the map'
-        ) from error
-    if count := int(np.sum(poor & np.isfinite(values))):
-        about = f"{of}: " if of else ""
-        findings.append(
-            Finding("quality", of, count, f"{about}{counted(count, 'value')} not of good quality, taken as missing")
-        )
-    values[poor] = np.nan
+def _part(table: Table, positions: Array) -> Table:
+    """The rows of a table at these positions."""
+    columns = [[c[k] for k in positions] if isinstance(c, list) else c.take(positions) for c in table.columns]
+    return table._replace(columns=columns, rows=[table.rows[int(k)] for k in positions])

@@ -15,6 +15,7 @@ from typing import Any
 from zoneinfo import ZoneInfo
 
 from fusion_sfdia.core.arguments import number, shown, whole
+from fusion_sfdia.core.numerals import code
 from fusion_sfdia.logs.epochs import NAMES, SECONDS, count_of
 
 AT_THE_SAMPLE, UNTIL_THE_SAMPLE = "at the sample", "until the sample"
@@ -37,6 +38,8 @@ class Column:
     unit: of the column; it is converted to that of the plant. "" means the unit in the column's title, otherwise the
     plant's. scale: value in that unit over the number in the log. quality: the title of the column with its quality codes.
     time: the title of the column with its times, where it has its own.
+    states: the numbers of a column of texts or truth values, {"On": 2000.0, "Off": 0.0}, before the scale and in that unit;
+    upper and lower case are the same, and so are true, "TRUE" and 1.
     """
 
     sensor: str = ""
@@ -45,6 +48,7 @@ class Column:
     scale: float = 1.0
     quality: str = ""
     time: str = ""
+    states: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         _require_texts("the column", self, ("sensor", "input", "unit", "quality", "time"))
@@ -54,6 +58,17 @@ class Column:
             )
         if not 0 < abs(number("scale", self.scale)) < math.inf:
             raise ValueError(f"scale is {self.scale}; expected a finite number other than 0")
+        if not isinstance(self.states, Mapping):
+            raise ValueError(f"states is {shown(self.states)}; expected a number for each text, as in {{ On = 1, Off = 0 }}")
+        taken: dict[str, Any] = {}
+        for state, value in self.states.items():
+            if not isinstance(state, str | int | float) or not str(state).strip():
+                raise ValueError(f"states has {shown(state)}; expected the text of a state")
+            if not math.isfinite(number(f"the number of state {shown(state)}", value)):
+                raise ValueError(f"the number of state {shown(state)} is {value}; expected a finite one")
+            if (same := code(state)) in taken:
+                raise ValueError(f"the states {taken[same]!r} and {state!r} are the same; keep one")
+            taken[same] = state
 
     @property
     def name(self) -> str:
@@ -76,9 +91,10 @@ class LogMap:
 
     bad: texts or numbers that stand for a missing reading. quality: pattern of the titles of quality columns, as in
     "{column}.Q"; of a long format the title of its one. good: the codes that make a value count, "opc-da" or "opc-ua" for
-    theirs, or texts and numbers. duplicates: which of several values at one time counts. order: what is done with rows that
-    are not in order. inputs: whether the input in a row acts from that row on ("at the sample", what historians give), or
-    acted until then ("until the sample", what `simulate` writes). hold: for how long a missing input keeps its last value, s.
+    theirs, or texts, numbers and true. duplicates: which of several values at one time counts. order: what is done with rows
+    that are not in order. inputs: whether the input in a row acts from that row on ("at the sample", what historians give),
+    or acted until then ("until the sample", what `simulate` writes). hold: for how long a missing input keeps its last
+    value, s.
     step: seconds between the rows that the values are put in, of each column or tag the nearest in time; 0: as they are, or the
     plant's step where tags have times of their own that fall between those of others.
     mask: comparisons such as "feed < 5", in the log's unit, of rows in which the plant is not in operation.
@@ -116,7 +132,7 @@ class LogMap:
         for what in ("time", "mask", "bad"):
             object.__setattr__(self, what, _listed(what, getattr(self, what)))
         if not isinstance(self.good, str):
-            object.__setattr__(self, "good", _listed("good", self.good))
+            object.__setattr__(self, "good", _listed("good", self.good, truth=True))
         _require_texts(
             "the map", self, ("format", "tz", "separator", "encoding", "comment", "sheet", "quality", "tag", "value", *CHOICES)
         )
@@ -241,10 +257,10 @@ def _require_encoding(encoding: str) -> None:
         raise ValueError(f'encoding is {shown(encoding)}; expected one such as "utf-8", "cp1252" or "utf-16"') from error
 
 
-def _listed(what: str, value: Any) -> tuple[Any, ...]:
-    """One text or number, or a list of them, as a tuple; ValueError for anything else."""
+def _listed(what: str, value: Any, *, truth: bool = False) -> tuple[Any, ...]:
+    """One text or number, or a list of them, as a tuple; ValueError for anything else. truth: whether also true and false."""
     items = tuple(value) if isinstance(value, list | tuple) else (value,)
-    if any(isinstance(i, bool) or not isinstance(i, str | int | float) for i in items):
+    if any((isinstance(i, bool) and not truth) or not isinstance(i, str | int | float) for i in items):
         raise ValueError(f"{what} is {shown(value)}; expected texts or numbers")
     return items
 

@@ -13,7 +13,7 @@ from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.logs.columns import Sources, find_sources, require_columns_of
 from fusion_sfdia.logs.log_map import LogMap
-from fusion_sfdia.logs.numbers import Numbers, good_codes
+from fusion_sfdia.logs.numbers import TRUTH, Numbers, good_codes
 from fusion_sfdia.logs.problems import Problems
 from fusion_sfdia.logs.times import instant
 
@@ -30,7 +30,6 @@ class RowReader(NamedTuple):
     plant: Plant
     log_map: LogMap
     sources: Sources
-    numbers: Numbers
 
     def time(self, row: Mapping[str, Any], near: datetime | None = None) -> tuple[float, datetime | None]:
         """Return the time of a row in seconds, of a stamp since 1970, and the stamp; ValueError for what is no time.
@@ -52,15 +51,22 @@ class RowReader(NamedTuple):
         y, u = np.full(len(self.plant.sensors), np.nan), np.full(len(self.plant.inputs), np.nan)
         for c in self.sources.columns:
             try:
-                value = self.numbers.cell(row.get(c.title))
+                value = c.value(row.get(c.title))
                 if c.quality and not good_codes([row.get(c.quality)], self.log_map.good)[0]:
                     continue
             except (ValueError, TypeError, OverflowError) as error:
-                raise ValueError(
-                    f"column {c.title}: {shown(row.get(c.title))}; expected a finite number, or nothing"
-                ) from error
-            (u if c.is_input else y)[c.position] = c.conversion(value)
+                expected = f"a state of {list(c.numbers.states)}, a number" if c.numbers.states else "a finite number"
+                raise ValueError(f"column {c.title}: {shown(row.get(c.title))}; expected {expected}, or nothing") from error
+            (u if c.is_input else y)[c.position] = value
         return y, u
+
+    def compared(self, row: Mapping[str, Any], name: str) -> float:
+        """The number that a mask compares, of a sensor, an input or a column by name, in the unit of its column; NaN: missing.
+
+        Truth values of a column that feeds nothing are 1 and 0. ValueError for a cell that is no number.
+        """
+        of = next((c for c in self.sources.columns if name in (c.name, c.title)), None)
+        return of.logged(row.get(of.title)) if of else Numbers.of(self.log_map, TRUTH).quantity(row.get(name))[0]
 
 
 def row_reader(plant: Plant, log_map: LogMap, titles: Sequence[str], *, absent_sensors: bool = False) -> RowReader:
@@ -71,4 +77,4 @@ def row_reader(plant: Plant, log_map: LogMap, titles: Sequence[str], *, absent_s
         problems, titles, [""] * len(titles), plant, log_map, absent=absent_sensors, other=True, nominal=False
     )
     problems.require_none()
-    return RowReader(plant, log_map, sources, Numbers.of(log_map))
+    return RowReader(plant, log_map, sources)

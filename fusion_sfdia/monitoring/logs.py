@@ -13,8 +13,9 @@ from fusion_sfdia.logs.columns import split_title
 from fusion_sfdia.logs.findings import LoadedLog
 from fusion_sfdia.logs.grid import tagged
 from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap
+from fusion_sfdia.logs.numbers import Numbers
 from fusion_sfdia.logs.reading import read_log
-from fusion_sfdia.logs.tables import read_table
+from fusion_sfdia.logs.tables import Table, read_table
 from fusion_sfdia.logs.times import Expected
 
 
@@ -28,6 +29,7 @@ def signals_of(
     """
     table, log_map, _ = found_times = tagged(read_table(source, log_map), log_map)
     units = {title: split_title(title)[1] or unit for title, unit in zip(*found_times.header, strict=True)}
+    units |= {title: _unit_of_cells(table, title, log_map) for title, unit in units.items() if not unit}
     by_name = {split_title(title)[0]: unit for title, unit in units.items()}
     if log_map.columns:
         found = {c.name: c.unit or units.get(t, "") or by_name.get(t, "") for t, c in log_map.columns.items()}
@@ -43,6 +45,15 @@ def signals_of(
     if not sensors:
         raise ValueError(f"{table.where}: no column is left as a sensor; its columns are {', '.join(map(repr, found))}")
     return sensors, [Signal(n, found[n] or "1") for n in inputs]
+
+
+def _unit_of_cells(table: Table, title: str, log_map: LogMap) -> str:
+    """The unit that the first cell of a column states behind its number, "" where there is none."""
+    first = next((cell for cell in table.column(title) if isinstance(cell, str) and cell.strip()), "")
+    try:
+        return Numbers.of(log_map).quantity(first)[1]
+    except ValueError:
+        return ""
 
 
 def load(source: Any, sensors: Sequence[Signal], inputs: Sequence[Signal] = (), log_map: LogMap = PLAIN_MAP) -> LoadedLog:
