@@ -23,7 +23,7 @@ from fusion_sfdia.logs.epochs import unix
 from fusion_sfdia.logs.findings import MISREAD
 from fusion_sfdia.logs.log_map import MASK, PLAIN_MAP, SPREAD, LogMap
 from fusion_sfdia.logs.mask import COMPARISONS, mask_titles
-from fusion_sfdia.logs.numbers import good_codes
+from fusion_sfdia.logs.numbers import Numbers, good_codes
 from fusion_sfdia.logs.order import HOUR, places_changing
 from fusion_sfdia.logs.overview import suspected_times
 from fusion_sfdia.logs.problems import Problems
