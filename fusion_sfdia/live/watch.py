@@ -184,7 +184,7 @@ class Watch:
         if begun and isinstance(t, datetime) != (start is not None):
             raise ValueError("give the time as in the rows before, in seconds or as a time stamp")
         if isinstance(t, datetime):
-            seconds = 0.0 if start is None else (t - start).total_seconds()
+            seconds = 0.0 if start is None else self.clock.seconds(t)
             self.clock = Clock(start or t)
         elif not np.isfinite(seconds := number("t", t)):
             raise ValueError("its time is not finite")

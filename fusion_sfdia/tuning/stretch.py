@@ -62,4 +62,4 @@ def _time(text: str, clock: Clock) -> float:
         moment = moment.replace(tzinfo=clock.start.tzinfo)
     elif clock.start.tzinfo is None:
         raise ValueError(f"the time {shown(text)} has a zone, those of the log have none; leave it out")
-    return (moment - clock.start).total_seconds()
+    return clock.seconds(moment)

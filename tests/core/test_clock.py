@@ -1,4 +1,4 @@
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from zoneinfo import ZoneInfo
 
 from fusion_sfdia.core.clock import Clock
@@ -22,6 +22,9 @@ def test_a_clock_follows_its_zone_where_clocks_change() -> None:
         "2024-10-27 02:30:00+02:00",
         "2024-10-27 02:30:00+01:00",
     ]
+    for h in range(3):  # and back
+        moment = datetime(2024, 10, 26, 23, 30, tzinfo=UTC) + timedelta(hours=h)
+        assert clock.seconds(moment) == clock.seconds(moment.astimezone(ZoneInfo("Europe/Amsterdam"))) == 3600.0 * h
 
 
 def test_seconds_since_1970_are_not_rounded() -> None:

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from toy_plants import tanks
 
+from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.live.rows import TextRows
+from fusion_sfdia.live.watch import Watch
 from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.logs.reading import load_log
 
@@ -53,6 +55,19 @@ def test_the_second_hour_is_read_as_of_a_whole_log(tmp_path: Path, place: str, s
     k = next((k for k in range(1, len(times)) if times[k] < times[k - 1]), len(times) // 2) + 3  # a watch that goes on
     rest = rows_of(log_map, times[k:], last=datetime.fromtimestamp(seconds[k - 1], UTC))
     np.testing.assert_array_equal(rest, seconds[k:])
+
+
+def test_a_watch_counts_the_seconds_of_the_second_hour() -> None:
+    watch = Watch(CentralFilter(PLANT), refused=print)
+    rows = TextRows(PLANT, LogMap(tz="Europe/Amsterdam"))
+    rows.row(HEADER)
+    times = []
+    for text in stamps(datetime(2024, 10, 27, 0, 59), "Europe/Amsterdam", 5.0, 40):
+        row = rows.row(f"{text},1,1,6e-4,6e-4,6e-4")
+        assert row is not None
+        times += [sample.t for sample in watch.take(*row)]
+    times += [sample.t for sample in watch.rest()]
+    assert times == [5.0 * k for k in range(40)]
 
 
 def test_a_late_row_does_not_begin_the_second_hour() -> None:
