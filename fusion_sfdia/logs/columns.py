@@ -57,7 +57,7 @@ class Source(NamedTuple):
 class Sources(NamedTuple):
     """The columns of the times with the unit in their title, the sources of readings and inputs, and what is not used.
 
-    refused: titles of columns that feed something and whose unit does not fit it.
+    refused: titles of columns that feed something or may be meant, and that do not fit: by their unit, name or map.
     """
 
     times: tuple[str, ...]
@@ -99,15 +99,20 @@ def find_sources(
         if len(header) == 1 and (mark := re.search(r"[;\t|,]", header[0])):
             problems.add("separator", _of_separator(mark[0], log_map))
             return Sources((), "", (), ())
+    similar: dict[str, str] = {}
     if lacking := _lacking_titles(header, log_map):
-        problems.add("columns", _of_lacking(header, log_map, lacking))
+        taken = {*log_map.columns, *log_map.time}
+        free = [title for title in header if not {title, split_title(title, log_map.columns)[0]} & taken]
+        similar = _similar(lacking, free)
+        problems.add("columns", _of_lacking(header, log_map, lacking, similar))
     times, time_unit = ((), "") if long else _times(problems, header, log_map)
     own: dict[str, tuple[int, bool, Sensor | Signal]] = {}
     own.update({s.name: (i, True, s) for i, s in enumerate(plant.inputs)})
     own.update({s.name: (i, False, s) for i, s in enumerate(plant.sensors)})
     found: dict[str, Source] = {}
     named = {log_map.columns[title].name for title in lacking}  # what problems have named already
-    unknown, refused = [], []
+    unknown: list[str] = []
+    refused = [*similar.values()]
     wrong: dict[tuple[str, str, str], list[str]] = {}
     qualities = {_quality(log_map, title, log_map.columns.get(title)) for title in header} - {""}
     known = {*own, *log_map.columns}
@@ -121,6 +126,7 @@ def find_sources(
             continue
         target = name if column is None else column.name
         if target not in own:  # a problem of the map
+            refused.append(title)
             continue
         position, is_input, signal = own[target]
         if target in found or target in named:
@@ -150,6 +156,10 @@ def find_sources(
     for why, names in wrong.items():
         problems.add("unit", _of_wrong_unit(plant, *why, names), count=len(names))
     _add_missing(problems, plant, {*found, *named}, absent, nominal)
+    if not log_map.columns:
+        by_name = {split_title(title, known)[0]: title for title in header}
+        meant = _similar([name for name in own if name not in {*found, *named}], unknown)
+        refused += [by_name[name] for name in meant.values()]
     needs_time = not times and not long and len(unknown) == 1  # the unknown one is that of the times
     if unknown and not other and not log_map.columns and not needs_time:
         problems.add(
@@ -205,12 +215,13 @@ def _lacking_titles(header: Sequence[str], log_map: LogMap) -> list[str]:
     return [title for title in log_map.columns if title not in names]
 
 
-def _of_lacking(header: Sequence[str], log_map: LogMap, lacking: Sequence[str]) -> str:
-    """The problem of columns that the map names and the header lacks, with similar ones."""
-    free = [
-        title for title in header if not {title, split_title(title, log_map.columns)[0]} & {*log_map.columns, *log_map.time}
-    ]
-    near = {title: match for title in lacking for match in get_close_matches(title, free, n=1, cutoff=0.75)}
+def _similar(names: Sequence[str], titles: Sequence[str]) -> dict[str, str]:
+    """For each of the names that has one the title that is most similar."""
+    return {name: match for name in names for match in get_close_matches(name, titles, n=1, cutoff=0.75)}
+
+
+def _of_lacking(header: Sequence[str], log_map: LogMap, lacking: Sequence[str], near: dict[str, str]) -> str:
+    """The problem of columns that the map names and the header lacks; near: similar ones that are there."""
     hint = f"; did you mean {some(list(near.values()))} for {some(list(near))}?" if near else ";"
     kinds = {bool(log_map.columns[title].input) for title in lacking if title not in near}
     options = [("--absent-sensors (absent_sensors=True)", False), ("--nominal-inputs (nominal_inputs=True)", True)]

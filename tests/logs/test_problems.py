@@ -115,6 +115,17 @@ def test_inputs_with_unknown_times_are_missing_only_without_any_value(tmp_path: 
     assert (feed.row, feed.column) == (4, "feed")
 
 
+def test_cells_of_columns_that_are_probably_meant_are_looked_at(tmp_path: Path) -> None:
+    lines = [GOOD[0].replace("pressure", "presure"), *GOOD[1:4], "180,ERR,1,180,1,1", *GOOD[5:]]
+    found = refused(tmp_path, lines)
+    assert [(p.kind, p.row, p.column) for p in found] == [("sensors", 0, ""), ("columns", 0, ""), ("cells", 5, "presure")]
+    columns = {name: Column(name) for name in ("pressure", "steam", "drum")}
+    columns |= {name: Column(input=name) for name in ("feed", "fuel")}
+    found = refused(tmp_path, lines, LogMap(columns=columns))
+    assert [(p.kind, p.row, p.column) for p in found] == [("columns", 0, ""), ("cells", 5, "presure")]
+    assert "did you mean 'presure' for 'pressure'" in str(found[0])
+
+
 def test_a_long_table_states_columns_and_tags_together(tmp_path: Path) -> None:
     log_map = LogMap(tag="tag", value="value", columns={"p": Column("pressure"), "s": Column("steam", unit="m")})
     found = refused(tmp_path, ["stamp,tag,value", "0,p,1", "0,s,1", "60,p,x"], log_map)
