@@ -71,7 +71,8 @@ class Values:
     def checked(self, name: str, value: Value) -> Value | None:
         """The value as it counts, with a stamp; None where it is no reading: without a time, and perhaps sent long ago.
 
-        One whose time cannot be used is missing from its arrival on. What is wrong with values of a source is said once.
+        One whose time cannot be used is missing from its arrival on; of a clock that is steadily ahead of the others the time
+        of arrival counts. What is wrong with values of a source is said once.
         """
         source = self.sources.get(name, name)
         if value.fault:
@@ -82,13 +83,13 @@ class Values:
             why = self.clocks.fault(source, value)
             if (remark := self.clocks.remark(source, value)) is not None:
                 self._say(source, "clock", f"{source}: {remark}")
-            if not why:
+            if not why and not self.clocks.is_ahead(value):
                 return value
-            if value.stamp is not None:
+            if why and value.stamp is not None:
                 self._say(source, "time", f"{source}: {why}; such values are missing")
-            if value.retained or value.arrived is None:
+            if why and (value.retained or value.arrived is None):
                 return None
-            value = value._replace(number=np.nan, has_time=False)
+            value = value._replace(number=np.nan if why else value.number, has_time=False)
         assert value.arrived is not None
         return value._replace(stamp=self.clocks.of_arrival(value.arrived))
 
@@ -168,14 +169,23 @@ class SourceClocks:
         if value.retained:
             return ""
         if -lead > self.max_lag:
-            return f"{which} behind its arrival, more than max_lag = {self.max_lag:g} s"
+            return f"{which} behind its arrival, more than max_lag = {self.max_lag:g} s (inf plays back a recording)"
         usual = nlargest(CONFIRMING, [0.0] * CONFIRMING + [*self.leads])[-1]
         self.leads.append(lead)
         if lead > usual + self.tolerance and max(self.max_lead, self.max_lag) < np.inf:
             return f"{which} ahead of its arrival, unlike those before it"
-        if self.latest is None or stamp >= self.latest:
+        if (self.latest is None or stamp >= self.latest) and not self.is_ahead(value):
             self.latest, self.offset = stamp, lead
         return ""
+
+    def is_ahead(self, value: Value) -> bool:
+        """Whether the clock of a value whose stamp counts is ahead of the others: if its source fell silent, their values
+        would be late.
+        """
+        if value.arrived is None or value.stamp is None or value.retained or max(self.max_lead, self.max_lag) == np.inf:
+            return False
+        of_most = sorted(self.leads)[len(self.leads) // 4]
+        return (value.stamp - value.arrived).total_seconds() > max(of_most, 0.0) + self.tolerance
 
     def remark(self, source: str, value: Value) -> str | None:
         """A line on the clock of a source whose last leads are all on one side, by more than the tolerance; else None."""

@@ -284,6 +284,17 @@ def test_clocks_that_are_steadily_off_are_named_with_their_offset(off: float) ->
         assert all(np.isnan(list(map(float, s["values"].values()))).all() or not s["isolated"] for s in lines)
 
 
+@pytest.mark.parametrize("off", [50.0, -50.0])
+def test_a_clock_that_is_off_holds_up_no_other_when_its_source_falls_silent(off: float) -> None:
+    def change(k: int, name: str, found: dict[str, Any]) -> dict[str, Any]:
+        return found | {"time": found["time"] + timedelta(seconds=off)} if name == "q2" else found
+
+    given = [m for i, m in enumerate(messages(change)) if m.topic != "q2" or i < 5 * 20]
+    lines, remarks = through_mqtt(given)
+    assert [s["at"] for s in lines] == [DT * k for k in range(STEPS - 1)] and any("l2" in s["isolated"] for s in lines)
+    assert any(r.startswith("q2: its clock is 50") or r.startswith("q2: its clock is 49.8") for r in remarks)
+
+
 def test_a_bound_that_is_infinite_plays_back_a_recording() -> None:
     def late(k: int, name: str, found: dict[str, Any]) -> dict[str, Any]:
         return found | {"arrived": START + timedelta(days=900, seconds=0.01 * k)}
@@ -305,6 +316,16 @@ def test_a_payload_without_a_time_belongs_to_the_row_of_its_arrival(behind: floa
     lines, remarks = through_mqtt(messages(change))
     same(lines, diagnosed(rows_of()))
     assert len(remarks) == (5 - len(names) if behind else 0)
+
+
+@pytest.mark.parametrize("at", [0, 1, 12])
+@pytest.mark.parametrize("behind", [30.0, 3000.0])
+def test_one_payload_without_a_time_makes_no_other_late(at: int, behind: float) -> None:
+    def change(k: int, name: str, found: dict[str, Any]) -> dict[str, Any]:
+        found = found | {"arrived": found["arrived"] + timedelta(seconds=behind)}
+        return {n: v for n, v in found.items() if n != "time"} if (k, name) == (at, "l1") else found
+
+    same(through_mqtt(messages(change))[0], diagnosed(rows_of()))
 
 
 def test_payloads_without_any_time_are_rows_of_their_arrival() -> None:
