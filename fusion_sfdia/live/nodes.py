@@ -15,6 +15,7 @@ from fusion_sfdia.live.security import Connection, require_connection, require_s
 from fusion_sfdia.live.tables import load_tables, require_bounds, require_known, require_states, require_texts, units_of
 from fusion_sfdia.live.values import MAX_LAG, MAX_LEAD
 from fusion_sfdia.logs.conversion import conversion
+from fusion_sfdia.logs.numbers import Numbers
 
 UNCERTAIN = ("use", "missing")
 
@@ -61,7 +62,7 @@ class Nodes(Connection):
     def reader(self, name: str, unit: str) -> Reader:
         """How the values of a sensor or an input in this unit are read; ValueError for a unit that does not convert to it."""
         source = self.sources[name]
-        return Reader(unit, conversion(source.unit, unit), source.states)
+        return Reader(unit, conversion(source.unit, unit), Numbers(states=source.states))
 
 
 def load_nodes(path: str | Path, plant: Plant) -> Nodes:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,6 +30,10 @@ LARGEST = 2**64  # whole numbers from here on are none that a device measures, b
 PLAIN, NUMBERS = Conversion(), Numbers()
 
 
+class _AmbiguousError(ValueError):
+    """A comma of two meanings."""
+
+
 class Reading(NamedTuple):
     """A number in the unit of the plant, NaN where it is missing; fault: why it cannot be used, "" where it says so itself."""
 
@@ -43,54 +46,58 @@ class Reader:
     """How the values of a sensor or an input are read.
 
     unit: of the plant, None where it is not known: a unit behind a number is then passed over. conversion: of numbers without
-    a unit. states: numbers of texts and truth values, upper and lower case alike. numbers: how they are written; a decimal
-    comma is read in any case where it can be nothing else.
+    a unit. numbers: how they are written, and the numbers of states; a decimal comma is read in any case where it can be
+    nothing else. scale: of numbers with a unit, as in a map.
     """
 
     unit: str | None = None
     conversion: Conversion = PLAIN
-    states: Mapping[str, float] = field(default_factory=dict)
     numbers: Numbers = NUMBERS
+    scale: float = 1.0
 
     def __call__(self, cell: Any) -> Reading:
         """The reading that a cell states: a number, or its text, with or without a unit. Nothing makes it raise."""
-        if isinstance(cell, str | bool | np.bool_) and self.states:
-            text, known = str(cell).strip().casefold(), {name.casefold(): number for name, number in self.states.items()}
-            if text in known:
-                return Reading(self.conversion(float(known[text])))
-        if isinstance(cell, bool | np.bool_):
-            return Reading(math.nan, "a truth value; expected a number: give the numbers of true and false as states")
         if isinstance(cell, str):
             cell = cell.strip()
-            if cell.casefold() in MISSING:
-                return Reading(math.nan)
-            if self.numbers.decimal == "." and not self.numbers.thousands and COMMA.match(cell):
-                if GROUPS.match(cell):
-                    return Reading(
-                        math.nan, "a comma that is a decimal mark or separates thousands; write a point, or state decimal"
-                    )
-                cell = cell.replace(",", ".", 1)
         try:
-            value, unit = self.numbers.quantity(cell)
+            value, unit = self._quantity(cell)
             if abs(value) >= LARGEST and (
                 isinstance(cell, int | np.integer) or (isinstance(cell, str) and DIGITS.fullmatch(cell))
             ):
                 raise ValueError("too large")
-        except (ValueError, TypeError, OverflowError):
-            return Reading(math.nan, f"no finite number{self._cure(cell)}")
+        except _AmbiguousError:
+            return Reading(math.nan, "a comma that is a decimal mark or separates thousands; write a point, or state decimal")
+        except (ValueError, TypeError, ArithmeticError):
+            if isinstance(cell, str) and cell.casefold() in MISSING:
+                return Reading(math.nan)
+            return Reading(math.nan, self._why(cell))
         if not unit or self.unit is None:
             return Reading(self._finite(self.conversion(value)))
         try:
             if len(unit) > LONGEST_UNIT or POWERS.search(unit):
                 raise ValueError(f"{shown(unit)} is no unit")
-            return Reading(self._finite(conversion(unit, self.unit)(value)))
+            return Reading(self._finite(conversion(unit, self.unit, self.scale)(value)))
         except ValueError as error:
             return Reading(math.nan, str(error))
 
-    def _cure(self, cell: Any) -> str:
+    def _quantity(self, cell: Any) -> tuple[float, str]:
+        """Number and unit of a cell, as the numbers are written or, where that is a point, with a comma that is clearly one."""
+        try:
+            return self.numbers.quantity(cell)
+        except ValueError:
+            if self.numbers.decimal != "." or self.numbers.thousands or not isinstance(cell, str) or not COMMA.match(cell):
+                raise
+        if GROUPS.match(cell):
+            raise _AmbiguousError
+        return self.numbers.quantity(cell.replace(",", ".", 1))
+
+    @staticmethod
+    def _why(cell: Any) -> str:
+        if isinstance(cell, bool | np.bool_):
+            return "a truth value; expected a number: give the numbers of true and false as states"
         if isinstance(cell, str) and cell.isprintable() and not (any(map(str.isdigit, cell)) or INFINITE.fullmatch(cell)):
-            return "; give the numbers of such texts as states"
-        return ", but an array" if isinstance(cell, list | tuple | np.ndarray) else ""
+            return "no finite number; give the numbers of such texts as states"
+        return f"no finite number{', but an array' if isinstance(cell, list | tuple | np.ndarray) else ''}"
 
     @staticmethod
     def _finite(value: float) -> float:

@@ -126,7 +126,7 @@ class TextRows:
             mask_titles("the first line", titles, sources, self.log_map)  # refuses what is no column
         problems.require_none()
         wanted = units_of(self.plant)
-        self.cells = {c.title: Reader(wanted[c.name], c.conversion, c.numbers.states, c.numbers) for c in sources.columns}
+        self.cells = {c.title: Reader(wanted[c.name], c.conversion, c.numbers, c.scale) for c in sources.columns}
         return RowReader(self.plant, self.log_map, sources)
 
     def _numbers(self, row: dict[str, Any]) -> tuple[float | datetime, Array, Array]:

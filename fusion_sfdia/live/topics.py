@@ -89,14 +89,14 @@ class Topics(Connection):
     def reader(self, name: str, unit: str) -> Reader:
         """How the values of a sensor or an input in this unit are read; ValueError for a unit that does not convert to it."""
         source = self.sources[name]
-        return Reader(unit, conversion(source.unit, unit), source.states, Numbers(self.decimal))
+        return Reader(unit, conversion(source.unit, unit), Numbers(self.decimal, states=source.states))
 
     def value(self, source: Source, payload: bytes, arrived: datetime | None, read: Reader | None = None) -> Value:
         """What a payload states: a number, with or without a unit, or a JSON object; NaN for anything else and of bad quality.
 
         arrived: the time where the payload has none. read: how its value is read.
         """
-        read = read or Reader(states=source.states, numbers=Numbers(self.decimal))
+        read = read or Reader(numbers=Numbers(self.decimal, states=source.states))
         try:
             text = payload.decode().strip()
             found = json_value(text)

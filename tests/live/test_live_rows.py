@@ -66,6 +66,19 @@ def test_a_cell_that_is_no_number_is_a_missing_value_and_the_row_counts() -> Non
     assert len(said) == 6
 
 
+def test_states_of_a_map_are_numbers() -> None:
+    said: list[str] = []
+    columns = {"pump": Column(input="inflow", unit="m3/h", states={"On": 3.6, "TRUE": 3.6, "Off": 0.0})}
+    rows = TextRows(tanks(), LogMap(columns=columns), absent_sensors=True, refused=said.append)
+    with pytest.raises(ValueError, match="no column of any sensor"):
+        rows.row("time,pump")
+    rows = TextRows(tanks(), LogMap(columns=columns), absent_sensors=True, refused=said.append)
+    rows.row("time,l1,pump")
+    found = [rows.row(f"{k},1,{cell}")[2][0] for k, cell in enumerate(("on", "true", "Off", "7.2", "broken"))]
+    np.testing.assert_allclose(found, [1e-3, 1e-3, 0.0, 2e-3, np.nan])
+    assert len(said) == 1 and "'broken'" in said[0]
+
+
 def test_a_text_in_what_a_mask_compares_is_a_missing_value() -> None:
     rows = TextRows(tanks(), LogMap(columns={"l1": Column(sensor="l1")}, mask=("state < 1",)), absent_sensors=True)
     rows.row("time,l1,state,inflow")

@@ -152,10 +152,12 @@ def test_a_cell_is_a_number_of_the_plant_or_missing(cell: Any, number: float, fa
 
 
 def test_units_states_and_marks_are_as_stated() -> None:
-    reader = Reader("K", conversion("degC", "K"), {"On": 20.0, "true": 1.0, "7": 70.0}, Numbers(","))
+    states = {"On": 20.0, "true": 1.0, "unknown": 2.0}
+    reader = Reader("K", conversion("degC", "K"), Numbers(",", states=states))
     for cell, number in ((20, 293.15), ("20", 293.15), ("20,5", 293.65), ("20 K", 20.0), (" ON ", 293.15), (True, 274.15)):
         assert reader(cell).number == pytest.approx(number)
-    assert reader("7").number == 343.15 and reader(7).number == 280.15 and math.isnan(reader(False).number)
+    assert reader("Unknown").number == 275.15 and reader(7).number == 280.15 and math.isnan(reader(False).number)
+    assert math.isnan(Reader(numbers=Numbers(states={"3": 1.0}))(4).number)  # of codes no other one is a number
     assert reader("20.5").fault and Reader()("20.5 whatever").number == 20.5
 
 
