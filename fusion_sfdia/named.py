@@ -14,6 +14,7 @@ from fusion_sfdia.core.log import as_log, one_run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.detectors import FALSE_ALARM
 from fusion_sfdia.evaluation.diagnose import SECONDS, Diagnosis, diagnose_run
+from fusion_sfdia.evaluation.lag import explained_by_lag
 from fusion_sfdia.logs.check import without_suspects
 from fusion_sfdia.logs.findings import LoadedLog
 from fusion_sfdia.logs.reading import load_log
@@ -58,7 +59,9 @@ def diagnose(
     regular = regularities(detector.plant, given.log)
     log = without_suspects(detector.plant, given).log
     of_log = tuple(f.text for f in regular.findings(detector.plant))
-    return replace(diagnose_run(regular.detector(detector, build), log, gap=gap, clock=given.clock), of_log=of_log)
+    adapted = regular.detector(detector, build)
+    again = partial(diagnose_run, adapted, gap=gap, clock=given.clock)
+    return explained_by_lag(adapted, log, replace(again(log), of_log=of_log), again)
 
 
 def fit(name: str, plant: Plant | str, healthy: Any = None, false_alarm: float = FALSE_ALARM, **unknown: Any) -> Detector:

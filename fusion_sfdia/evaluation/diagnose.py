@@ -229,9 +229,8 @@ def diagnose_run(
         track, own = track._replace(u=track.u.copy()), np.flatnonzero(track.own)
         for k in np.flatnonzero(np.any(decisions.absurd_input, axis=1)):
             track.u[own[k]] = np.where(decisions.absurd_input[k], detector.plant.input_at(float(t[k])), u[k])
-    model = getattr(detector, "model", None)  # of principal components it is no plant
     with threadpool_limits(1):
-        look = hindsight(model if isinstance(model, Plant) else detector.plant, track, out, each)
+        look = hindsight(model_of(detector), track, out, each)
     starts = np.flatnonzero(np.isfinite(track.begins[track.own]))
     health, after = health_of(detector.plant.sensor_names, look, starts, alarm_rate_of(detector), ()), look.residuals
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -243,6 +242,12 @@ def diagnose_run(
     health = health._replace(remarks=against_the_model(events, decisions, t, clock))
     tested: tuple[ProcessHypothesis, ...] = getattr(detector, "process_hypotheses", ())
     return Diagnosis(events, decisions, t, tested, clock, gaps, health, after, _limit(detector))
+
+
+def model_of(detector: Detector) -> Plant:
+    """The plant whose state the filter of a detector estimates; its plant, where it has no filter."""
+    model = getattr(detector, "model", None)  # of principal components it is no plant
+    return model if isinstance(model, Plant) else detector.plant
 
 
 def present(y: Array, decisions: Decision) -> Array:

@@ -7,6 +7,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -22,6 +23,7 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.verdicts import Verdict
 from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run, present
 from fusion_sfdia.evaluation.events import ProcessEvent, open_questions
+from fusion_sfdia.evaluation.lag import explained_by_lag
 from fusion_sfdia.logs.check import check_log, checked, without_suspects
 from fusion_sfdia.logs.csv_log import write_lines, write_log
 from fusion_sfdia.logs.findings import LoadedLog
@@ -74,8 +76,10 @@ def diagnose_log(
             warnings.warn(f"{data}: {remark}", stacklevel=2)
         detector = regularities(plant, loaded.log).detector(detector, build)
         log = without_suspects(plant, loaded).log
+        unread = (*loaded.absent, *loaded.suspects)
+        again = partial(diagnose_run, detector, clock=loaded.clock, each=progress, unread=unread)
         try:
-            found = diagnose_run(detector, log, clock=loaded.clock, each=progress, unread=(*loaded.absent, *loaded.suspects))
+            found = explained_by_lag(detector, log, again(log), again)
         except ValueError as error:
             raise ValueError(f"{data}: {error}") from error
         with all_or_none(out) as new:
