@@ -15,9 +15,11 @@ from fusion_sfdia.logs.reading import load_log
 from fusion_sfdia.registry import plant as registered
 
 HELPERS = Path(__file__).parents[1] / "helpers" / "drafted_logs.py"
+DIRTY = ("dirty.csv", "everything.csv")
 KINDS = (
     "comma.csv", "semicolon.csv", "tab.txt", "day_first.csv", "month_first.csv", "two_columns.csv", "long.csv", "unit_row.csv",
     "preamble.csv", "epoch.csv", "seconds.csv", "dirty.csv",
+    "everything.csv",
 )  # fmt: skip
 
 
@@ -34,7 +36,7 @@ def test_one_run_gives_a_map_and_a_plant_that_read_the_log(
     assert len(found.log.t) == STEPS and np.allclose(np.diff(found.log.t), 60.0)
     right = readings()[:, :4]
     wrong = np.argwhere(~np.isclose(found.log.y, right, rtol=0, atol=1e-9))
-    assert wrong.tolist() == ([[20, 1], [21, 1], [40, 0]] if kind == "dirty.csv" else [])
+    assert wrong.tolist() == ([[20, 1], [21, 1], [40, 0]] if kind in DIRTY else [])
     assert np.all(np.isnan(found.log.y[tuple(wrong.T)]))
     assert "unsure" in (tmp_path / "draft" / "map.toml").read_text()  # the inflow, which is 7.2 throughout
     # the noise of the readings, 10 mm and 0.3 degC
@@ -64,7 +66,7 @@ def test_tags_are_found_among_the_sensors_and_inputs_of_a_plant(
     found = load_log(log, vat(), out / "map.toml")
     right = readings() * [1e-3, 1e-3, 1.0, 1.0, 1 / 3600.0] + [0.0, 0.0, 273.15, 273.15, 0.0]
     known = np.isfinite(found.log.y)
-    assert np.sum(~known) == (3 if kind == "dirty.csv" else 0)
+    assert np.sum(~known) == (3 if kind in DIRTY else 0)
     assert np.allclose(found.log.y[known], right[:, :4][known]) and np.allclose(found.log.u, 7.2 / 3600.0)
     columns = tomllib.loads((out / "map.toml").read_text())["columns"]
     assert [c.get("sensor", c.get("input")) for c in columns.values()] == [

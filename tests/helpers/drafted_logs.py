@@ -79,6 +79,10 @@ def drafted_logs(folder: Path) -> dict[str, Path]:
     dirty.insert(90, dirty[90])
     days = body(lambda s: s.strftime("%d-%m-%Y %H:%M:%S"))
     tagged = [[row[0], tag, value, "Good"] for row in body(iso) for tag, value in zip(TAGS, row[1:], strict=True)]
+    worst = body(lambda s: s.strftime("%d/%m/%Y %H:%M"), comma)
+    worst[20][2], worst[21][2], worst[40][1] = "Bad", "I/O Timeout", ""
+    worst[60], worst[61] = worst[61], worst[60]
+    worst.insert(90, worst[90])
     texts = {
         "comma.csv": text([head, *body(iso)]),
         "semicolon.csv": text([["Zeit", *TAGS], *body(lambda s: s.strftime("%d.%m.%Y %H:%M:%S"), comma)], ";"),
@@ -92,9 +96,10 @@ def drafted_logs(folder: Path) -> dict[str, Path]:
         "epoch.csv": text([["ts", *TAGS], *body(lambda s: int(s.replace(tzinfo=UTC).timestamp() * 1000))]),
         "seconds.csv": text([["t [s]", *TAGS], *body(lambda s: (s - START).total_seconds())]),
         "dirty.csv": text([head, *dirty]),
+        "everything.csv": text([["Werk Süd"], ["Anlage", "7"], ["Zeit", *with_units], *worst], ";"),
     }
     found = {}
     for name, content in texts.items():
         found[name] = folder / name
-        found[name].write_bytes(content.encode("cp1252" if name == "semicolon.csv" else "utf-8"))
+        found[name].write_bytes(content.encode("cp1252" if name in ("semicolon.csv", "everything.csv") else "utf-8"))
     return found
