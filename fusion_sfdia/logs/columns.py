@@ -115,9 +115,11 @@ def find_sources(
     refused = [*similar.values()]
     wrong: dict[tuple[str, str, str], list[str]] = {}
     qualities = {_quality(log_map, title, log_map.columns.get(title)) for title in header} - {""}
-    known = {*own, *log_map.columns}
+    known, with_bracket = {*own, *log_map.columns}, {name for name in own if "[" in name}
     for title, row_unit in zip(header, units, strict=True):
         name, bracket = split_title(title, known)
+        if title in log_map.columns:  # which may be named with its unit
+            bracket = split_title(title, with_bracket)[1]
         column = log_map.columns.get(title) or log_map.columns.get(name)
         if title in times or title in qualities:
             continue

@@ -6,7 +6,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,17 +24,15 @@ from fusion_sfdia.logs.numbers import Numbers
 from fusion_sfdia.logs.problems import LogError, Problem
 from fusion_sfdia.logs.reading import load_log
 from fusion_sfdia.logs.tables import Table, read_table
-from fusion_sfdia.logs.times import Times, times_of
+from fusion_sfdia.logs.time_columns import STAMP, TIME_TITLE, time_columns
+from fusion_sfdia.logs.times import Times
 from fusion_sfdia.logs.unit_texts import is_unknown
 
 Array = NDArray[Any]
 
-TIME_TITLE = re.compile(r"time|stamp|date|datum|zeit|tijd|uhr|heure|hora|fecha|\bts\b|^t$", re.I)
 TAG_TITLE = re.compile(r"tag|name|sensor|variable|signal|point|channel|item|metric|series|parameter|kanal|topic", re.I)
 VALUE_TITLE = re.compile(r"val|wert|waarde|reading|\bpv\b", re.I)
 QUALITY = re.compile(r"(.+?)([ ._:-]*(?:q|qual|quality|status|st|good|valid))", re.I)
-CLOCK = re.compile(r"\d{1,2}:\d\d(?::\d\d(?:[.,]\d+)?)?(?:\s*[ap]m)?", re.I)
-DAY = re.compile(r"\d{1,4}[-/.]\w{1,3}[-/.]\d{1,4}|\d{8}")
 MISSING = re.compile(
     r"bad|nan|null|none|n/?a|#n/?a|-+|\?+|.*(?:error|err|fail|fault|invalid|time-?out|no data|offline|comm).*", re.I
 )
@@ -215,7 +213,7 @@ def _add_number_form(table: Table, draft: Draft) -> None:
             draft.settings |= {"thousands": thousands} | ({"decimal": decimal} if decimal != "." else {})
             return
     commas = [c for c in cells if re.fullmatch(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?", c.strip())]
-    if commas and not any("." in c and not DAY.fullmatch(c.strip()) for c in cells):
+    if commas and not any("." in c and not STAMP.match(c.strip()) for c in cells):
         draft.settings["decimal"] = ","
         if all(re.fullmatch(r"[+-]?\d{1,3},\d{3}", c.strip()) for c in commas):
             draft.notes["decimal"] = 'unsure: three digits behind each comma; or decimal = "." and thousands = ","'
@@ -239,76 +237,23 @@ def _add_layout(path: Path, draft: Draft) -> None:
 
 def _add_times(table: Table, draft: Draft, log_map: LogMap) -> tuple[str, ...]:
     """The columns of the times, and how they are written; ValueError where no column holds times."""
-    firsts = {title: _first_text(table, title) for title in table.titles if title}
-    days = [title for title, text in firsts.items() if DAY.fullmatch(text)]
-    clocks = [title for title, text in firsts.items() if CLOCK.fullmatch(text)]
-    named = [title for title in firsts if TIME_TITLE.search(split_title(title)[0])]
-    stamped = [title for title, text in firsts.items() if re.match(r"\d{1,4}[-/.]\w{1,3}[-/.]\d{1,4}", text)]
-    pairs: list[tuple[str, ...]] = [(days[0], clocks[0])] if days and clocks else []
-    singles: list[tuple[str, ...]] = [(title,) for title in (*named, *stamped, *list(firsts)[:1])]
-    for titles in dict.fromkeys([*pairs, *singles]):
-        unit = split_title(titles[0])[1] if len(titles) == 1 else ""
-        found = _ways_of_reading(table, titles, unit, log_map)
-        found = [(form, times) for form, times in found if _runs_on(times)]
-        if not found:
-            continue
-        form, draft.times = found[0]
-        draft.settings = {"time": [split_title(t)[0] if len(titles) == 1 else t for t in titles]} | draft.settings
-        if form:
-            draft.settings["format"] = form
-        if len(found) > 1:
-            draft.notes["format"] = f"unsure: or {', '.join(_toml(other) for other, _ in found[1:])}"
-        start = draft.times.clock.start
-        if start is not None and start.tzinfo is None:
-            draft.options['tz = "Europe/Amsterdam"'] = (
-                "unsure: the stamps state no time zone; name the place, so that the hour is right where clocks change"
-            )
-        return titles
-    raise ValueError(
-        f"{table.where}: no column of times among {some(table.titles)}; expected one of stamps, or of seconds that increase"
-    )
-
-
-def _ways_of_reading(table: Table, titles: tuple[str, ...], unit: str, log_map: LogMap) -> list[tuple[str, Times]]:
-    """The formats by which columns are times, "" for what needs none, and the times: those that reading names, best first."""
-    for part in (table, _head(table)):  # a single cell that is no time is one of the problems of the log
-        try:
-            return [("", times_of(part, titles, unit, log_map))]
-        except ValueError as error:
-            named = dict.fromkeys(re.findall(r'format = "([^"]+)"', str(error)))
-        found = []
-        for form in named:
-            try:
-                found.append((form, times_of(part, titles, unit, replace(log_map, format=form))))
-            except ValueError:
-                continue
-        if found:
-            return sorted(found, key=_unlikely)
-    return []
-
-
-def _unlikely(found: tuple[str, Times]) -> tuple[float, int, bool]:
-    """Of a way of reading times: the share of rows that go back, the days from first to last, whether the month comes first
-    with the hours of a day of 24, or last with those of 12.
-    """
-    form, times = found
-    return round(_backwards(times), 2), round(float(np.ptp(times.t)) / 86400.0), form.startswith("%m") != ("%p" in form)
-
-
-def _head(table: Table) -> Table:
-    rows = slice(0, min(20, len(table.rows)))
-    return table._replace(columns=[list(c)[rows] for c in table.columns], rows=list(table.rows)[rows])
-
-
-def _backwards(times: Times) -> float:
-    """The share of the steps that go back, of a log whose newest row comes first, the share of those that go forward."""
-    steps = np.diff(times.t)
-    return min(float(np.mean(steps < 0)), float(np.mean(steps > 0))) if steps.size else 0.0
-
-
-def _runs_on(times: Times) -> bool:
-    """Whether times are those of rows that follow each other."""
-    return times.t.size < 3 or (_backwards(times) < 0.2 and float(np.ptp(times.t)) > 0)
+    found = time_columns(table, log_map)
+    if found is None:
+        raise ValueError(
+            f"{table.where}: no column of times among {some(table.titles)}; expected one of stamps, or of seconds that increase"
+        )
+    form, draft.times = found.ways[0]
+    draft.settings = {"time": list(found.names)} | draft.settings
+    if form:
+        draft.settings["format"] = form
+    if len(found.ways) > 1:
+        draft.notes["format"] = f"unsure: or {', '.join(_toml(other) for other, _ in found.ways[1:])}"
+    start = draft.times.clock.start
+    if start is not None and start.tzinfo is None:
+        draft.options['tz = "Europe/Amsterdam"'] = (
+            "unsure: the stamps state no time zone; name the place, so that the hour is right where clocks change"
+        )
+    return found.titles
 
 
 def _add_long(table: Table, draft: Draft, numbers: Numbers, others: Sequence[str]) -> bool:
@@ -438,10 +383,6 @@ def _name_and_unit(title: str, row_unit: str) -> tuple[str, str]:
         return name, unit or row_unit
     match = re.fullmatch(r"(.+?)\s*\(([^()]+)\)", name) or SUFFIX.fullmatch(name)
     return (match[1], match[2]) if match and not is_unknown(match[2]) else (name, "")
-
-
-def _first_text(table: Table, title: str) -> str:
-    return next((text for cell in table.column(title) if (text := str(cell).strip())), "")
 
 
 def _unique(name: str, taken: Sequence[str]) -> str:

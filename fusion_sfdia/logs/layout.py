@@ -20,6 +20,7 @@ from fusion_sfdia.logs.mask import mask_titles
 from fusion_sfdia.logs.order import Rows, dropped, require_one_clock, spread, spread_finding, twice
 from fusion_sfdia.logs.problems import Problems
 from fusion_sfdia.logs.tables import Table
+from fusion_sfdia.logs.time_columns import time_columns, ways_of_reading
 from fusion_sfdia.logs.times import UNKNOWN, Expected, Times, times_of, unknown_times
 
 Array = NDArray[Any]
@@ -33,6 +34,10 @@ def wide_rows(
     table, log_map, own = found = tagged(table, log_map)
     titles, units = found.header
     sources = find_sources(problems, titles, units, plant, log_map, **allowed)
+    likely = None
+    if not sources.times and not own and len(table.rows):
+        if likely := time_columns(table, log_map, expected):
+            problems.amend("time", f": {likely.statement}")
     if not own:
         needed = [*sources.times, *(c.title for c in sources.columns if c.is_input and not log_map.hold)]
         table = table.with_cells_of(needed)
@@ -50,6 +55,11 @@ def wide_rows(
     if sources.times and not (own or log_map.step):
         with problems.collecting("time"):
             times = times_of(table, sources.times, sources.time_unit, log_map, expected=expected)
+    if times.kind == UNKNOWN and not (own or log_map.step):  # with their order, which is looked at, too
+        ways = likely.ways if likely else []
+        if sources.times:
+            ways = ways_of_reading(table, sources.times, sources.time_unit, log_map, expected)
+        times = next((way for _, way in ways if way.t.size == times.t.size), times)
     read, quality = [], Quality(log_map, Counter(), [])
     for c in sources.columns:
         with problems.collecting("cells", c.title):

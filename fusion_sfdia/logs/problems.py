@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 MOST = 30  # lines of an error
 
@@ -96,6 +96,12 @@ class Problems:
         """Add a problem whose message is "what came; expected, and the cure"."""
         text, _, cure = message.partition("; ")
         self.problems.append(Problem(kind, self.where, row, column, count, text, cure))
+
+    def amend(self, kind: str, cure: str) -> None:
+        """Add to the cure of the first problem of this kind, if there is one."""
+        k = next((k for k, p in enumerate(self.problems) if p.kind == kind), None)
+        if k is not None:
+            self.problems[k] = replace(self.problems[k], cure=f"{self.problems[k].cure}{cure}")
 
     def of(self, *kinds: str) -> list[Problem]:
         """The problems of these kinds."""

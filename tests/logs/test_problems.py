@@ -115,6 +115,27 @@ def test_inputs_with_unknown_times_are_missing_only_without_any_value(tmp_path: 
     assert (feed.row, feed.column) == (4, "feed")
 
 
+def test_the_columns_of_times_are_named_and_their_order_is_looked_at_in_the_same_run(tmp_path: Path) -> None:
+    hours = [f"{day:02d}/01/2025,06:00:00,10,1,180,1,1" for day in (13, 14, 16, 15, 17, 18, 19, 20)]
+    lines = [f"Day,Clock,{GOOD[0][5:]}", *hours]
+    columns = {name: Column(name) for name in ("pressure", "steam", "drum")}
+    columns |= {name: Column(input=name) for name in ("feed", "fuel")}
+    time, order = refused(tmp_path, lines, LogMap(columns=columns))
+    assert 'time = ["Day", "Clock"], format = "%d/%m/%Y %H:%M:%S"' in time.cure
+    assert order.kind == "order" and order.row == 5
+    lines = [GOOD[0], *(f"0{day}/02/2025 06:00,10,1,180,1,1" for day in (2, 3, 5, 4))]
+    time, order = refused(tmp_path, lines)
+    assert (time.kind, time.row, order.kind, order.row) == ("time", 2, "order", 5)
+
+
+def test_a_title_with_its_unit_in_the_map_is_in_that_unit(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("time,P [kPa],steam,drum [K],feed,fuel\n0,1000,1,453.15,1,1\n60,1000,1,453.15,1,1\n")
+    columns = {"P [kPa]": Column("pressure"), "steam": Column("steam"), "drum [K]": Column("drum")}
+    columns |= {name: Column(input=name) for name in ("feed", "fuel")}
+    assert load_log(path, PLANT, LogMap(columns=columns)).log.y[0] == pytest.approx([10.0, 1.0, 180.0])
+
+
 def test_cells_of_columns_that_are_probably_meant_are_looked_at(tmp_path: Path) -> None:
     lines = [GOOD[0].replace("pressure", "presure"), *GOOD[1:4], "180,ERR,1,180,1,1", *GOOD[5:]]
     found = refused(tmp_path, lines)
