@@ -114,7 +114,8 @@ class Topics(Connection):
         if (given := _at(found, source.time)) not in NO_TIME or isinstance(given, bool):
             stamp, has_time = self._stamp(given, arrived), True
             if stamp is None:
-                fault = f"its time {shown(given)} is none; expected ISO 8601, or a number since 1970"
+                expected = f"a time as {self.time_format}" if self.time_format else "ISO 8601, or a number since 1970"
+                fault = f"its time {shown(given)} is none; expected {expected}: state time_format for another form"
         return Value(number, stamp, arrived, has_time, fault=fault and self._unusable(source, payload, fault))
 
     def _number(self, source: Source, found: dict[str, Any], read: Reader) -> tuple[float, str]:
