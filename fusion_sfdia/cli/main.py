@@ -8,11 +8,9 @@ import errno
 import gc
 import io
 import os
-import signal
 import sys
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout
+from collections.abc import Sequence
+from contextlib import nullcontext, redirect_stderr, redirect_stdout
 
 from fusion_sfdia import __version__
 from fusion_sfdia.cli.audit import add_audit
@@ -24,6 +22,7 @@ from fusion_sfdia.cli.listing import add_list
 from fusion_sfdia.cli.logs import add_check_log, add_diagnose, add_simulate
 from fusion_sfdia.cli.monitor import add_monitor
 from fusion_sfdia.cli.runs import add_compare, add_run
+from fusion_sfdia.cli.signals import handled
 from fusion_sfdia.cli.speed import add_bench
 from fusion_sfdia.cli.tune import add_tune
 from fusion_sfdia.cli.watch import add_watch
@@ -37,7 +36,7 @@ def parser() -> argparse.ArgumentParser:
     top = argparse.ArgumentParser(
         prog="fusion-sfdia",
         description="Sensor-fault detection, isolation and accommodation.",
-        epilog="Exit codes: 0 done, 1 some work failed or diverged, 2 input that does not fit, 130 interrupted.",
+        epilog="Exit codes: 0 done, 1 some work failed or diverged, 2 input that does not fit, 128 and its number by a signal.",
         allow_abbrev=False,
     )
     top.add_argument("--version", action="version", version=f"fusion-sfdia {__version__}")
@@ -73,9 +72,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is imported: matrices are small, threads would wait
     with redirect_stdout(PlainStream(sys.stdout)), redirect_stderr(PlainStream(sys.stderr)):
         chosen = parser().parse_args(arguments)
-        quiet = arguments is not None or chosen.command == "list"
-        with _terminated_as_interrupted(), nullcontext() if quiet else announced(detector_of(chosen)):
-            return _done(chosen)
+        with handled() as interruption:
+            chosen.interruption = interruption
+            return _interruptible(chosen, quiet=arguments is not None or chosen.command == "list")
+
+
+def _interruptible(chosen: argparse.Namespace, *, quiet: bool) -> int:
+    """The exit code of a command, or of the signal that has ended it."""
+    interruption = chosen.interruption
+    try:
+        with nullcontext() if quiet else announced(detector_of(chosen)):
+            code = _done(chosen)
+        return int(interruption.code) if interruption.number else code
+    except BaseException as error:  # whatever an import or a library has made of a signal
+        if not (interruption.number or isinstance(error, KeyboardInterrupt)):
+            raise
+        interruption.acknowledge()
+        resumes = "; repeat the same command to continue" if chosen.command in ("run", "compare") else ""
+        print(f"fusion-sfdia: interrupted{resumes}", file=sys.stderr)
+        return int(interruption.code)
 
 
 def detector_of(chosen: argparse.Namespace) -> str | None:
@@ -94,20 +109,8 @@ def _collect_less() -> None:
     atexit.register(gc.freeze)
 
 
-@contextmanager
-def _terminated_as_interrupted() -> Iterator[None]:
-    """SIGTERM acts as Ctrl-C: both leave nothing half-written and no worker behind. In other threads nothing is changed."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
 def _done(chosen: argparse.Namespace) -> int:
+    """The exit code of a command; errors that a user can act on are a line on standard error, unless a signal caused them."""
     try:
         code: int = chosen.work(chosen)
         sys.stdout.flush()
@@ -115,11 +118,9 @@ def _done(chosen: argparse.Namespace) -> int:
     except BrokenPipeError:  # the reader of the output has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except KeyboardInterrupt:
-        resumes = "; repeat the same command to continue" if chosen.command in ("run", "compare") else ""
-        print(f"fusion-sfdia: interrupted{resumes}", file=sys.stderr)
-        return 130
     except (ValueError, ArithmeticError, OSError, RuntimeError, MemoryError, ModuleNotFoundError) as error:
+        if chosen.interruption.number:
+            raise
         from fusion_sfdia.core.files import explained
         from fusion_sfdia.logs.problems import LogError
 

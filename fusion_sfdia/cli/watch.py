@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import threading
 from contextlib import nullcontext
 from datetime import UTC, timedelta
 from pathlib import Path
@@ -61,16 +62,34 @@ def add_watch(commands: Any) -> None:
         help="seconds for which rows are held to put them in order; all are diagnosed that much later (default: 0)",
     )
     one.add_argument("--no-kinds", action="store_true", help="do not name kinds of faults nor test the model, which takes time")
+    one.add_argument(
+        "--status-every",
+        type=decimal,
+        default=60.0,
+        metavar="S",
+        help="seconds between two status lines on standard error, topic and node; 0: none (default: 60)",
+    )
+    one.add_argument(
+        "--silent-after",
+        type=decimal,
+        metavar="S",
+        help="seconds without a row after which the status is blind (default: 10 steps of the plant)",
+    )
+    one.add_argument("--metrics", metavar="HOST:PORT", help="serve the status to Prometheus; a port alone: on this machine")
     add_columns(one, "where they are missing")
     one.set_defaults(work=_watch)
 
 
 def _watch(chosen: argparse.Namespace) -> int:
+    from fusion_sfdia.cli.signals import ended_in_time
     from fusion_sfdia.core.files import locked_file
 
     if chosen.state is not None and not chosen.state.absolute().parent.is_dir():
         raise ValueError(f"--state {chosen.state}: there is no folder {chosen.state.parent}; make it, or name another file")
-    with nullcontext() if chosen.state is None else locked_file(chosen.state):
+    with (
+        ended_in_time(chosen.interruption),
+        nullcontext() if chosen.state is None else locked_file(chosen.state),
+    ):
         return _watched(chosen)
 
 
@@ -79,9 +98,14 @@ def _watched(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.live.remarks import Remarks
     from fusion_sfdia.live.saving import SavedWatch
     from fusion_sfdia.live.security import SCHEMES, address
+    from fusion_sfdia.live.status import Status, beating, endpoint, served
     from fusion_sfdia.live.watch import Watch
     from fusion_sfdia.logs.log_map import AT_THE_SAMPLE, PLAIN_MAP, load_map
 
+    for option, seconds in (("status-every", chosen.status_every), ("silent-after", chosen.silent_after)):
+        if seconds is not None and not 0 <= seconds < threading.TIMEOUT_MAX:
+            raise ValueError(f"--{option} is {seconds}; expected a number of seconds, at least 0")
+    at = None if chosen.metrics is None else endpoint(chosen.metrics)
     if chosen.save_every < 1:
         raise ValueError(f"--save-every is {chosen.save_every}; expected at least 1 row")
     for one, other in (("opcua", "nodes"), ("mqtt", "topics")):
@@ -109,15 +133,26 @@ def _watched(chosen: argparse.Namespace) -> int:
         _say(f"{chosen.state}: goes on after {watch.clock.at(watch.t or 0.0)}")
     else:
         watch = Watch(bound, **settings)
-    saved = SavedWatch(watch, _write, chosen.state, chosen.save_every, chosen.samples)
+    status = Status(watch, remarks=lambda: refused.count, silent=chosen.silent_after)
+    saved = SavedWatch(
+        watch, _write, chosen.state, chosen.save_every, chosen.samples, status=status, undivided=chosen.interruption.deferred
+    )
+    chosen.interruption.save = saved.save
+
+    def beat() -> None:
+        _say(f"status: {status.report().line}")
+        status.beat()
+
     try:
-        if chosen.opcua:
-            _server(chosen, saved)
-        elif chosen.mqtt:
-            _broker(chosen, saved)
-        else:
-            _text(chosen, saved, log_map)
+        with beating(chosen.status_every, beat), nullcontext() if at is None else served(*at, status):
+            if chosen.opcua:
+                _server(chosen, saved)
+            elif chosen.mqtt:
+                _broker(chosen, saved)
+            else:
+                _text(chosen, saved, log_map)
     finally:
+        chosen.interruption.acknowledge()
         saved.save()
         if refused.count:
             _say(f"{refused.count} remarks in all")

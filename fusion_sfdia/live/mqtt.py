@@ -15,6 +15,7 @@ from fusion_sfdia.core.detector import MissingPackageError
 from fusion_sfdia.live import security
 from fusion_sfdia.live.lines import results
 from fusion_sfdia.live.saving import SavedWatch
+from fusion_sfdia.live.status import Report, Status
 from fusion_sfdia.live.tables import units_of
 from fusion_sfdia.live.topics import Topics
 from fusion_sfdia.live.values import Value, Values
@@ -108,6 +109,8 @@ class Bridge:
             client.tls_set_context(self.context)
         if topics.status is not None:
             client.will_set(topics.status, "gone", topics.qos, retain=True)
+            saved.status = saved.status or Status(saved.watch)
+            saved.status.listeners.append(self._report)
         client.on_connect, client.on_connect_fail = self._connected, lambda *_: self._down(self._failure())
         client.on_disconnect = lambda c, u, flags, reason, p: self._down(str(reason)) if reason.is_failure else None
         client.on_subscribe, client.on_message = self._subscribed, self._message
@@ -160,8 +163,8 @@ class Bridge:
         if not self.is_up:
             self._remark(f"{self.url}: connected again")
         self.is_up = True
-        if self.topics.status is not None:
-            client.publish(self.topics.status, "watching", self.topics.qos, retain=True)
+        if self.saved.status is not None:
+            self._report(self.saved.status.report())
 
     def _failure(self) -> str:
         """Why no connection was made."""
@@ -172,6 +175,11 @@ class Bridge:
         except (OSError, security.UntrustedError) as error:
             return str(error)
         return "refused or not reachable"
+
+    def _report(self, report: Report) -> None:
+        """The report as the status, which stays with the broker until another comes, or the will, "gone"."""
+        if self.topics.status is not None and self.client.is_connected():
+            self.client.publish(self.topics.status, report.json, self.topics.qos, retain=True)
 
     def _down(self, why: str) -> None:
         if self.is_up:

@@ -33,17 +33,19 @@ class Nodes(Connection):
     """Nodes by their OPC UA ids, such as "ns=2;s=TT-101.PV", and how they are read.
 
     read: the node of each sensor and input, or a table of the fields of `Source`. write: of some sensors {"value", "sigma",
-    "verdict": node}, and the nodes "verdict" and "alarm" of the whole. uncertain: whether values of that quality are used
-    ("use") or "missing". stale: seconds by which the source time of a value may be before the newest one; an older one is
-    missing (None: it counts, as servers that report changes alone do not renew it). max_lead, max_lag: as in `Values`, of
-    source times that are new. period: seconds between two readings of all nodes, None for the plant's dt. retry: seconds
-    between attempts to connect; timeout: seconds for an answer. security: "Policy,Mode,certificate,key" of a
-    connection that is signed, or signed and encrypted; trusted: a folder of certificates of servers and authorities that are
-    trusted. The rest of the connection: see `Connection`.
+    "verdict": node}, and the nodes "verdict" and "alarm" of the whole. status: a node for the verdict of the moment as a
+    text, "blind" where no row comes. uncertain: whether values of that quality are used ("use") or "missing". stale: seconds
+    by which the source time of a value may be before the newest one; an older one is missing (None: it counts, as servers
+    that report changes alone do not renew it). max_lead, max_lag: as in `Values`, of source times that are new. period:
+    seconds between two readings of all nodes, None for the plant's dt. retry: seconds between attempts to connect; timeout:
+    seconds for an answer. security: "Policy,Mode,certificate,key" of a connection that is signed, or signed and encrypted;
+    trusted: a folder of certificates of servers and authorities that are trusted. The rest of the connection: see
+    `Connection`.
     """
 
     read: dict[str, Any]
     write: dict[str, Any] = field(default_factory=dict)
+    status: str | None = None
     uncertain: str = "use"
     stale: float | None = None
     max_lead: float = MAX_LEAD

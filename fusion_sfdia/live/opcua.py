@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from collections.abc import Callable
 from datetime import UTC, datetime
 from importlib import import_module
@@ -17,6 +18,7 @@ from fusion_sfdia.live.lines import results
 from fusion_sfdia.live.nodes import Nodes
 from fusion_sfdia.live.saving import SavedWatch
 from fusion_sfdia.live.security import EXAMPLE, SCHEMES, UntrustedError, address, require_encrypted, secure
+from fusion_sfdia.live.status import Report, Status
 from fusion_sfdia.live.tables import units_of
 from fusion_sfdia.live.values import Value, Values
 from fusion_sfdia.live.watch import Sample
@@ -82,6 +84,11 @@ class Bridge:
         units = units_of(self.plant)
         self.readers = {name: nodes.reader(name, units[name]) for name in sources}
         self.stamps: dict[str, datetime | None] = {}  # of the last values
+        self.reports: deque[Report] = deque(maxlen=1)  # that are to be written
+        if nodes.status is not None:
+            saved.status = saved.status or Status(saved.watch)
+            saved.status.listeners.append(self.reports.append)
+            saved.status.beat()
 
     def _id(self, text: str) -> Any:
         try:
@@ -100,6 +107,7 @@ class Bridge:
             if (row := self.row(found, self.now())) is not None:
                 for sample in self.saved.take(*row):
                     await self._write(client, sample)
+            await self._report(client)
             await asyncio.sleep(self.period)
 
     def check(self, found: list[Any]) -> None:
@@ -154,6 +162,17 @@ class Bridge:
         for node, status in zip(ids, await client.uaclient.write_attributes(list(map(self._id, ids)), data), strict=True):
             if not status.is_good():
                 self.saved.watch.refused(f"node {node} does not take its value: {status.name}")
+
+    async def _report(self, client: Any) -> None:
+        """Write the verdict of the moment to the node for it, where there is one, as often as the status is reported."""
+        if self.nodes.status is None or not self.reports:
+            return
+        text = self.reports.pop().conclusion.text
+        self.reports.clear()
+        value = self.ua.DataValue(self.ua.Variant(text))
+        (status,) = await client.uaclient.write_attributes([self._id(self.nodes.status)], [value])
+        if not status.is_good():
+            self.saved.watch.refused(f"node {self.nodes.status} does not take its value: {status.name}")
 
     def _written(self, value: float | str | bool | None) -> Any:
         """A data value, of bad quality where it is not known (NaN, or None of an alarm), and then with a value of its type."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 
 from fusion_sfdia.core.files import explained
 from fusion_sfdia.live.lines import change_line, sample_line
+from fusion_sfdia.live.status import Status
 from fusion_sfdia.live.watch import Sample, Watch
 
 
@@ -31,6 +33,8 @@ class SavedWatch:
     rows: int = 0
     saved: int = 0  # rows that the state has
     whole: bool = True  # whether all lines of the rows taken are written
+    status: Status | None = None
+    undivided: Callable[[], AbstractContextManager[None]] = nullcontext  # around each row: a signal may end it, not break it
 
     def __post_init__(self) -> None:
         if self.path is not None:
@@ -38,8 +42,9 @@ class SavedWatch:
 
     def take(self, t: float | datetime, y: Any, u: Any) -> tuple[Sample, ...]:
         """Diagnose a row as `Watch.take`, write its lines, and save where it is time."""
-        self.whole = False
-        return self._written(self.watch.take(t, y, u))
+        with self.undivided():
+            self.whole = False
+            return self._written(self.watch.take(t, y, u))
 
     def rest(self) -> tuple[Sample, ...]:
         """At the end of the input, the same for the rows that `Watch.rest` diagnoses, and the lines of `Watch.last`."""
@@ -57,6 +62,8 @@ class SavedWatch:
             if self.samples:
                 self.write(sample_line(sample, watch.detector.plant, watch.detector.hypotheses, watch.clock))
         self.rows, self.whole = self.rows + len(found), True
+        if self.status is not None:
+            self.status.taken(found)
         if self.rows - self.saved >= self.every:
             try:
                 self.save()

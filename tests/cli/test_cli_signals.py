@@ -1,7 +1,8 @@
-"""A campaign that is ended by a signal: finished parts stay, no worker remains."""
+"""Commands that are ended by a signal: finished parts and states stay, no worker remains, and they end in time."""
 
 from __future__ import annotations
 
+import json
 import os
 import select
 import signal
@@ -10,6 +11,12 @@ import sys
 from pathlib import Path
 
 import pytest
+from toy_plants import readings, tanks
+
+from fusion_sfdia.cli.signals import handled
+from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.live.watch import Watch
+from fusion_sfdia.logs.csv_log import write_log
 
 PROGRAM = """
 import os, signal, sys
@@ -43,7 +50,7 @@ def read(pipe: int, size: int) -> bytes:
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
 @pytest.mark.parametrize(
-    ("sent", "code", "message"), [(signal.SIGTERM, 130, "repeat the same command"), (signal.SIGKILL, -9, "")]
+    ("sent", "code", "message"), [(signal.SIGTERM, 143, "repeat the same command"), (signal.SIGKILL, -9, "")]
 )
 def test_no_worker_outlives_the_command(tmp_path: Path, root: Path, sent: int, code: int, message: str) -> None:
     (tmp_path / "program.py").write_text(PROGRAM)
@@ -61,3 +68,86 @@ def test_no_worker_outlives_the_command(tmp_path: Path, root: Path, sent: int, c
     assert command.returncode == code
     assert message in err and "Traceback" not in err
     assert len(list((tmp_path / "out" / "parts").glob("*.npz"))) == 3
+
+
+DEAF = """
+import signal, threading
+from fusion_sfdia.cli.signals import SIGNALS, ended_in_time, handled
+
+with handled() as interruption, ended_in_time(interruption):
+    interruption.save = lambda: print("saved", flush=True)
+    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # of this thread, as in compiled code
+    print("ready", flush=True)
+    threading.Event().wait()
+"""
+ENDING = """
+from fusion_sfdia.cli.signals import ended_in_time, handled
+import signal
+with handled() as interruption:
+    try:
+        with ended_in_time(interruption):
+            print("ready", flush=True)
+            try:
+                signal.pause()
+            except KeyboardInterrupt:  # once
+                signal.pause()
+    except KeyboardInterrupt:
+        print("ended", flush=True)
+        raise SystemExit(interruption.code)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize(("program", "last"), [(DEAF, "saved"), (ENDING, "ended")])
+def test_a_signal_that_is_discarded_comes_again_and_then_ends_the_process(
+    tmp_path: Path, root: Path, sent: int, program: str, last: str
+) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(root)}
+    command = subprocess.Popen(
+        [sys.executable, "-c", program], cwd=tmp_path, env=environment, stdout=subprocess.PIPE, text=True
+    )
+    assert command.stdout and command.stdout.readline() == "ready\n"
+    command.send_signal(sent)
+    out, _ = command.communicate(timeout=PATIENCE)
+    assert command.returncode == 128 + sent and out.splitlines()[-1] == last
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("waits", [True, False], ids=["waiting", "at work"])
+def test_a_watch_ends_by_a_signal_with_its_state_saved(tmp_path: Path, root: Path, sent: int, waits: bool) -> None:
+    t, _, y, u = readings(tanks(), 400, 1, seed=1)
+    write_log(tmp_path / "log.csv", tanks(), t, y[:, 0], u[:, 0])
+    lines = (tmp_path / "log.csv").read_text().splitlines(keepends=True)
+    command = [sys.executable, "-m", "fusion_sfdia", "watch", "--plant", "two-tanks", "--detector", "loo-chi2"]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    environment = {**os.environ, "PYTHONPATH": str(root)}
+    watch: subprocess.Popen[str] = subprocess.Popen(  # type: ignore[call-overload]
+        [*command, "--samples", "--state", "w.state"], cwd=tmp_path, env=environment, text=True, **pipes
+    )
+    assert watch.stdin and watch.stdout
+    watch.stdin.writelines(lines[: 30 if waits else 400])
+    watch.stdin.flush()
+    for _ in range(20):
+        last = watch.stdout.readline()
+    watch.send_signal(sent)
+    out, err = watch.communicate(timeout=PATIENCE)
+    assert watch.returncode == 128 + sent and "Traceback" not in err and "interrupted" in err
+    last = (last + out).splitlines()[-1]
+    found = Watch.load(tmp_path / "w.state", LeaveOneOutBank(tanks(), window=1), refused=print)
+    assert found.t == json.loads(last)["t"]
+
+
+def test_a_row_is_not_broken_by_a_signal_but_ended() -> None:
+    with handled() as interruption:
+        done = []
+        with pytest.raises(KeyboardInterrupt), interruption.deferred():
+            signal.raise_signal(signal.SIGTERM)
+            done.append("the row")
+        assert done == ["the row"] and interruption.code == 143
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        interruption.acknowledge()
+        signal.raise_signal(signal.SIGTERM)  # while the state is saved
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL

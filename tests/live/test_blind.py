@@ -221,3 +221,15 @@ def test_an_alarm_without_a_cause_is_neither_healthy_nor_false() -> None:
         samples = taken(Watch(replace(detector, threshold_scale=1e308)), rows)
     written = dict(results(detector, samples[-1], WRITE))
     assert written["A"] is None and written["V"] == "cannot tell: the thresholds allow no decision yet"
+
+
+def test_repeats_of_slow_sensors_leave_the_verdict_as_it_was() -> None:
+    """Sensors that are new every fifth row: the rows between are judged by none, and nothing is lost by that."""
+    rows = rows_of(400)
+    for k, (_, y, _) in enumerate(rows):
+        y[:] = rows[k - k % 5][1]
+    samples = taken(Watch(LeaveOneOutBank(tanks()), refused=[].append), rows)
+    assert not sight(samples) and {s.verdict for s in samples[5:]} == {Verdict.HEALTHY}
+    for _, y, _ in rows[200:300]:
+        y[:] = np.nan
+    assert [c.what for c in sight(taken(Watch(LeaveOneOutBank(tanks()), refused=[].append), rows))] == ["blind", "sees again"]

@@ -92,7 +92,11 @@ class Field:
 
     def _message(self, client: Any, userdata: Any, message: Any) -> None:
         if message.topic == "tanks/watch":
-            (self.watching.set if message.payload == b"watching" else self.watching.clear)()
+            (
+                self.watching.set
+                if message.payload != b"gone" and json.loads(message.payload)["status"] == "watching"
+                else self.watching.clear
+            )()
             return
         with self.news:
             self.heard[message.topic] = json.loads(message.payload)

@@ -1,0 +1,184 @@
+"""Whether a watch is at work and what it sees: one report for a line, a topic, a node and a monitoring system."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fusion_sfdia.core.verdicts import Conclusion, Verdict
+from fusion_sfdia.live.watch import Sample, Watch
+
+RECENT = 100  # rows over which the share of missing readings is taken
+SILENT = 10.0  # steps of the plant without a row, after which a watch is blind
+
+
+class Report(NamedTuple):
+    """The verdict with its reason at a moment, blind where no row has come for long.
+
+    last_row: time of the last row, "" before the first. rows: diagnosed in this process. missing: share of the readings of the
+    last `RECENT` rows. lag: seconds by which the last row came after its own time, NaN where that has no zone. age: seconds
+    since it came, NaN before the first. stamp: of the last row, s since 1970, NaN where that is not known. remarks: so far.
+    """
+
+    conclusion: Conclusion
+    last_row: str
+    rows: int
+    missing: float
+    lag: float
+    age: float
+    stamp: float
+    remarks: int
+
+    @property
+    def line(self) -> str:
+        """For people: "healthy; last row 2026-03-01 14:00:00+00:00, 360 rows, 1.2 % of readings missing, lag 0.4 s"."""
+        lag = f", lag {self.lag:.3g} s" if self.lag == self.lag else ""
+        last = f"last row {self.last_row}" if self.last_row else "no row"
+        return f"{self.conclusion.text}; {last}, {self.rows} rows, {100 * self.missing:.3g} % of readings missing{lag}"
+
+    @property
+    def json(self) -> str:
+        """For programs: {"status": "watching", "state": "healthy", ...}; numbers that are not known are null."""
+        verdict, reason = self.conclusion
+        found = {"status": "watching", "state": str(verdict), "reason": reason, "last_row": self.last_row or None}
+        numbers = {"rows": self.rows, "missing": self.missing, "lag": self.lag, "age": self.age, "remarks": self.remarks}
+        return json.dumps(found | {name: value if value == value else None for name, value in numbers.items()})
+
+    @property
+    def metrics(self) -> str:
+        """The text of Prometheus' exposition format, version 0.0.4."""
+        found = []
+        for name, kind, about, value in (
+            ("rows_total", "counter", "Rows diagnosed.", self.rows),
+            ("remarks_total", "counter", "Remarks on rows and values that were not taken.", self.remarks),
+            ("missing_ratio", "gauge", f"Share of readings missing in the last {RECENT} rows.", self.missing),
+            ("lag_seconds", "gauge", "Arrival of the last row after its own time.", self.lag),
+            ("last_row_age_seconds", "gauge", "Time since the last row arrived.", self.age),
+            ("last_row_timestamp_seconds", "gauge", "Time of the last row since 1970.", self.stamp),
+        ):
+            text = "NaN" if value != value else repr(value)
+            found += [
+                f"# HELP fusion_sfdia_{name} {about}",
+                f"# TYPE fusion_sfdia_{name} {kind}",
+                f"fusion_sfdia_{name} {text}",
+            ]
+        found += ["# HELP fusion_sfdia_state 1 for the present verdict.", "# TYPE fusion_sfdia_state gauge"]
+        found += [f'fusion_sfdia_state{{state="{v}"}} {int(v is self.conclusion.verdict)}' for v in Verdict]
+        return "\n".join([*found, ""])
+
+
+class Status:
+    """The reports of a watch, which any thread may ask for.
+
+    remarks: the number of remarks so far. silent: seconds without a row after which the watch is blind, by default `SILENT`
+    steps of the plant. now: the present time. Listeners are called with each report that `beat` makes, and with one for a row
+    that changes the verdict.
+    """
+
+    def __init__(
+        self,
+        watch: Watch,
+        *,
+        remarks: Callable[[], int] = lambda: 0,
+        silent: float | None = None,
+        now: Callable[[], datetime] = lambda: datetime.now(UTC),
+    ) -> None:
+        self.watch, self.remarks, self.now = watch, remarks, now
+        self.silent = SILENT * watch.detector.plant.dt if silent is None else silent
+        self.listeners: list[Callable[[Report], object]] = []
+        self.rows, self.last, self.began = 0, "", now()
+        self.arrived: datetime | None = None
+        self.conclusion = Conclusion(Verdict.BLIND, "no row was judged yet")
+        self.missing: deque[float] = deque(maxlen=RECENT)
+        self.lag = self.stamp = np.nan
+
+    def taken(self, samples: tuple[Sample, ...]) -> None:
+        """Rows that were diagnosed."""
+        if not samples:
+            return
+        self.arrived, clock, sample = self.now(), self.watch.clock, samples[-1]
+        before, self.conclusion, self.last = self.conclusion, sample.conclusion, clock.at(sample.t)
+        self.rows += len(samples)
+        self.missing.extend(float(np.mean(np.isnan(s.y))) for s in samples)
+        if clock.start is not None and clock.start.tzinfo is not None:
+            self.stamp = clock.start.timestamp() + sample.t
+            self.lag = self.arrived.timestamp() - self.stamp
+        if self.conclusion.verdict is not before.verdict:
+            self.beat()
+
+    def report(self) -> Report:
+        """The report of this moment."""
+        now, missing = self.now(), list(self.missing)
+        waited = (now - (self.arrived or self.began)).total_seconds()
+        known = self.conclusion
+        if waited > self.silent:
+            known = Conclusion(Verdict.BLIND, f"no row for {waited:.0f} s")
+        age = np.nan if self.arrived is None else waited
+        share = float(np.mean(missing)) if missing else 0.0
+        return Report(known, self.last, self.rows, share, self.lag, age, self.stamp, self.remarks())
+
+    def beat(self) -> None:
+        """Report to all listeners."""
+        report = self.report()
+        for listener in self.listeners:
+            listener(report)
+
+
+@contextmanager
+def beating(every: float, beat: Callable[[], object]) -> Iterator[None]:
+    """Within the block, call `beat` in another thread every so many seconds; 0: never."""
+    ended = threading.Event()
+
+    def run() -> None:
+        while not ended.wait(every):
+            beat()
+
+    if every:
+        threading.Thread(target=run, daemon=True).start()
+    try:
+        yield
+    finally:
+        ended.set()
+
+
+@contextmanager
+def served(host: str, port: int, status: Status) -> Iterator[int]:
+    """Within the block, /metrics on this address gives `Report.metrics`; the port, of 0 a free one."""
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            found = self.path.partition("?")[0] in ("/", "/metrics")
+            body = status.report().metrics.encode() if found else b"metrics are at /metrics\n"
+            self.send_response(200 if found else 404)
+            self.send_header("Content-Type", "text/plain; version=0.0.4; charset=utf-8")
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, format: str, *arguments: Any) -> None:
+            """Requests are no remarks."""
+
+    server = ThreadingHTTPServer((host, port), Handler)
+    server.daemon_threads = True
+    threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True).start()
+    try:
+        yield int(server.server_address[1])
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+def endpoint(text: str) -> tuple[str, int]:
+    """Host and port of "9101", which is of this machine alone, "HOST:9101" or "[::1]:9101"; ValueError for anything else."""
+    host, _, port = text.rpartition(":")
+    if not (port.isascii() and port.isdigit()) or int(port) > 65535 or (":" in host and not host.startswith("[")):
+        raise ValueError(f"--metrics is {text!r}; expected a port, such as 9101, or HOST:PORT")
+    return host.strip("[]") or "127.0.0.1", int(port)
