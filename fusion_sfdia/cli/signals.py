@@ -17,6 +17,10 @@ EACH = 0.1  # s between attempts
 LAST = 0.9  # s from a signal to the end of the process, where no attempt has helped
 
 
+class InterruptedBySignal(KeyboardInterrupt):
+    """Of its own class: after a KeyboardInterrupt itself within `exec`, as dataclasses call it, CPython always ends by SIGINT."""
+
+
 class Interruption:
     """Signals that end this process, while `handled` lasts.
 
@@ -35,7 +39,7 @@ class Interruption:
         """Of a signal that has come."""
         first, self.number = not self.number, number
         if not (self.acknowledged.is_set() or (first and self.busy)):
-            raise KeyboardInterrupt
+            raise InterruptedBySignal
 
     @contextmanager
     def deferred(self) -> Iterator[None]:
@@ -46,7 +50,7 @@ class Interruption:
         finally:
             self.busy = False
         if self.number and not self.acknowledged.is_set():
-            raise KeyboardInterrupt
+            raise InterruptedBySignal
 
     def acknowledge(self) -> None:
         """The command is ending: further signals are without effect."""
