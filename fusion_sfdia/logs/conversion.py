@@ -15,13 +15,13 @@ from fusion_sfdia.logs import unit_texts as units
 from fusion_sfdia.logs.unit_texts import Reading
 
 USUAL = (  # units that logs have, by what they measure; the first states it
-    ("degC", "K", "degF"), ("bar", "bar(g)", "kPa", "psi", "Pa"), ("m3/h", "l/min", "gpm", "m3/s"),
+    ("mT", "T"), ("degC", "K", "degF"), ("bar", "bar(g)", "kPa", "psi", "Pa"), ("m3/h", "l/min", "gpm", "m3/s"),
     ("kg/h", "t/h", "kg/s", "lb/h"), ("m", "mm", "inch", "ft"), ("m/s", "km/h", "kn", "ft/min"), ("rpm", "rad/s", "deg/s"),
     ("1/s", "1/min", "Hz"), ("kW", "W", "MW", "hp"), ("1", "%", "ppm"), ("s", "min", "h", "ms"), ("A", "mA"), ("V", "mV"),
     ("N m", "kN m", "lbf ft"), ("m/s2", "g"), ("Pa s", "cP"), ("m2/s", "cSt"), ("S/m", "uS/cm"), ("N", "kN", "kgf", "lbf"),
     ("kg", "g", "t", "lb"), ("m3", "l", "bbl"), ("deg", "rad"), ("kg/m3", "g/l"), ("K/s", "K/min"), ("C", "Ah"),
     ("m2", "cm2"), ("mol/s", "kmol/h"), ("mol/l", "mol/m3"), ("kWh", "kJ"), ("ohm", "kohm"), ("Hz", "kHz"), ("F", "uF"),
-    ("T", "mT"), ("H", "mH"), ("Nm3/h", "Nm3/s"), ("Sm3/h", "Sm3/s"), ("scfm", "scfh"), ("slpm", "sccm"),
+    ("H", "mH"), ("Nm3/h", "Nm3/s"), ("Sm3/h", "Sm3/s"), ("scfm", "scfh"), ("slpm", "sccm"),
 )  # fmt: skip
 GASES = {  # volumes (m3) at reference conditions: temperature (K) and pressure (Pa), as most use them
     "normal_cubic_meter": (1.0, 273.15, 101325.0), "standard_cubic_meter": (1.0, 288.15, 101325.0),
@@ -64,12 +64,10 @@ def _converted(unit: str, target: str) -> Conversion | None:
         return Conversion()
     for pair in _pairs(unit, target):
         return pair.conversion
-    others = {pair.spelled: pair.conversion for pair in _pairs(unit, target, ("unknown", "unknown"))}
-    if len(others) == 1:
-        (spelled, found), given = others.popitem(), (units.plain_text(unit), units.plain_text(target))
-        if not any(_other_prefix(a, b) for a, b in zip(given, spelled, strict=True)):
-            return found
-    return None
+    others = [*_pairs(unit, target, ("unknown", "unknown"))]
+    given = (units.plain_text(unit), units.plain_text(target))
+    same = [p for p in others if not any(_other_prefix(a, b) for a, b in zip(given, p.spelled, strict=True))]
+    return same[0].conversion if same and len({p.conversion for p in others}) == 1 else None
 
 
 def _other_prefix(given: str, spelled: str) -> bool:
@@ -102,12 +100,17 @@ def _between(source: Reading, wanted: Reading) -> Conversion | None:
     """The conversion between two readings; None for other dimensions, and where it is no factor and offset."""
     if source.unit.dimensionality != wanted.unit.dimensionality:
         return None
+    import pint
+
     quantity = units.registry().Quantity
 
     def value(x: float) -> float:
         return float(quantity(x, source.unit).m_as(wanted.unit))
 
-    zero, one, two = value(0.0), value(1.0), value(2.0)
+    try:
+        zero, one, two = value(0.0), value(1.0), value(2.0)
+    except pint.DimensionalityError:  # a temperature is no difference of temperatures
+        return None
     if not one - zero or not abs(two - 2 * one + zero) <= 1e-9 * max(abs(one), abs(zero)):  # a logarithm
         return None
     offset = 0.0 if abs(zero) < 1e-300 else zero
@@ -145,7 +148,8 @@ def _refusal(unit: str, target: str) -> str:
             f"one of them states an angle, the other does not; {state} and scale = {turns:.9g} for revolutions, "
             f"scale = {k:.9g} for radians"
         )
-    meant = list(dict.fromkeys(pair.spelled[0] for pair in _pairs(unit, target, ("any", "unknown"))))
+    others = {pair.conversion: pair.spelled[0] for pair in reversed([*_pairs(unit, target, ("any", "unknown"))])}
+    meant = list(reversed(others.values()))
     if meant and meant != [units.plain_text(unit)]:
         return f"did you mean {_or(meant)}? State it in a map"
     if not units.readings(target):

@@ -49,6 +49,7 @@ NAMES: dict[str, tuple[str, ...]] = {  # what is written so and no other way, wi
     "NM": ("nautical_mile", "newton * meter"), "ln": ("normal_liter",), "mln": ("millinormal_liter",),
     "PS": ("metric_horsepower",), "CV": ("metric_horsepower",), "ch": ("metric_horsepower",), "at": ("technical_atmosphere",),
     "cp": ("centipoise",), "cps": ("centipoise", "1 / second"), "Nmm": ("newton * millimeter",), "kp": ("kilogram_force",),
+    "y": ("year",), "mK": ("millikelvin", "meter * kelvin"), "daNm": ("decanewton * meter",), "Å": ("angstrom",),
     "mD": ("millidarcy",), "TR": ("refrigeration_ton",), "RT": ("refrigeration_ton",), "kgm": ("kilogram_force * meter",),
     "°": ("degree",), "%": ("percent",), "‰": ("permille",), "daN": ("decanewton",), "ha": ("hectare",), "u": ("dalton",),
     "pH": ("picohenry",), "Np": (), "dB": (), "te": ("metric_ton",), "kgK": ("kilogram * kelvin",),
@@ -87,6 +88,10 @@ WORDS: dict[str, tuple[str, ...]] = {  # the same in upper and lower case
     "btu": ("Btu",), "btuh": ("Btu / hour",), "mbh": ("kiloBtu / hour",), "kbtu": ("kiloBtu",),
     "amp": ("ampere",), "amps": ("ampere",), "ohm": ("ohm",), "ohms": ("ohm",), "var": ("watt",), "kvar": ("kilowatt",),
     "pct": ("percent",), "percent": ("percent",), "ppm": ("ppm",), "ppb": ("parts_per_billion",), "mho": ("siemens",),
+    "mhos": ("siemens",), "umhos": ("microsiemens",), "gauss": ("flux_gauss",), "m3ph": ("meter ** 3 / hour",),
+    "klph": ("kiloliter / hour",), "mld": ("megaliter / day",), "bph": ("oil_bbl / hour",), "kbpd": ("kilooil_bbl / day",),
+    "mmbtuh": ("megaBtu / hour",), "kscfd": ("kilostandard_cubic_foot / day",), "kscfh": ("kilostandard_cubic_foot / hour",),
+    "scmd": ("standard_cubic_meter / day",), "ncmd": ("normal_cubic_meter / day",), "imperial_gallon": ("imperial_gallon",),
     "umho": ("microsiemens",), "mmho": ("millisiemens",), "dbar": ("decibar",),
     "delta_degc": ("delta_degree_Celsius",),
     "delta_degf": ("delta_degree_Fahrenheit",), "delta_k": ("kelvin",),
@@ -118,9 +123,10 @@ CUSTOMARY = {"btu": "Btu", "cf": "cubic_foot", "lb": "pound", "bbl": "oil_bbl", 
 MANY = re.compile(rf"(k|mm|MM)({'|'.join(CUSTOMARY)})s?", re.I)  # of these M alone is a thousand to one and a million to others
 DELTAS = {"degree_Celsius": "delta_degree_Celsius", "degree_Fahrenheit": "delta_degree_Fahrenheit"}
 SEVERAL: dict[str, tuple[str, ...]] = {  # what one name is used for, and which names are clear
-    "ton": ("t", "short_ton", "long_ton", "TR"), "tons": ("t", "short_ton", "long_ton", "TR"), "MT": ("t", "Mt"),
-    "Cal": ("cal", "kcal"),
-} | {f"M{c}": (f"k{c}", f"MM{c}") for c in ("Btu", "BTU", "btu", "lb", "lbs", "bbl", "stb", "gal", "cf")}  # fmt: skip
+    **dict.fromkeys(("ton", "Ton", "TON", "tons", "Tons", "TONS"), ("t", "short_ton", "long_ton", "TR")),
+    **{f"M{c}": (f"k{c}", f"MM{c}") for c in ("Btu", "BTU", "btu", "lb", "lbs", "bbl", "stb", "gal", "cf")},
+    **dict.fromkeys(("MT", "mt"), ("t", "Mt")), "Cal": ("cal", "kcal"),
+}  # fmt: skip
 
 SUPERSCRIPTS = str.maketrans("⁺⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "+-0123456789")
 SIGNS = str.maketrans(
@@ -132,21 +138,28 @@ TEMPERATURE = re.compile(
     r"|(?<![^\W\d_])([cf])\s*°|(?<![^\W\d_])(?-i:o([CF]))(?![^\W\d_])",
     re.I,
 )
-CUBED, ALONE, END = r"\s*(?:\^|\*\*)?\s*3", r"(?<![^\W_])(k?)", r"(?![\w^-])"
+CUBED, ALONE, END = r"\s*(?:\^|\*\*)?\s*3", r"(?<![^\W_])(k|K|MM?)?", r"(?![\w^-])"
 NORMAL = (
-    (re.compile(rf"{ALONE}(?:[Nn]|norm(?:al)?[\s._]*)m{CUBED}(?!\d)"), "normal_cubic_meter"),
-    (re.compile(rf"{ALONE}(?:[Ss]|(?:std|standard|st)[\s._]*)m{CUBED}(?!\d)"), "standard_cubic_meter"),
+    (re.compile(rf"{ALONE}(?:[Nn](?i:m)|norm(?:al)?[\s._]*m){CUBED}(?!\d)"), "normal_cubic_meter"),
+    (re.compile(rf"{ALONE}(?:[Ss](?i:m)|(?:std|standard|st)[\s._]*m){CUBED}(?!\d)"), "standard_cubic_meter"),
     (re.compile(rf"{ALONE}(?:m_?[Nn]{CUBED}|m{CUBED}[_ ]?(?:[Nn]|\([Nn]\)|\[[Nn]\])){END}"), "normal_cubic_meter"),
     (re.compile(rf"{ALONE}m{CUBED}[_ ]?(?:S|std|\((?:[Ss]|std)\)){END}"), "standard_cubic_meter"),
 )
+GAS_PREFIXES = {None: "", "k": "kilo", "K": "kilo", "M": "mega", "MM": "mega"}
+ROOMS = (  # areas and volumes in words
+    (re.compile(r"(?<![^\W_])(?:cubic|cu)[\s._]+([^\W\d]+)\.?", re.I), r"\1^3"),
+    (re.compile(r"(?<![^\W_])(?:square|sq)[\s._]+([^\W\d]+)\.?", re.I), r"\1^2"),
+    (re.compile(r"(?<![^\W_])imp(?:erial)?[\s._]*gal(?:lons?)?(?![^\W_])", re.I), "imperial_gallon"),
+    (re.compile(r"(?<![^\W_])U\.?S\.?[\s._]*(?=g(?:al|p[mhd]))", re.I), ""),
+)
 SHARES = r"r\.?h\.?|rel\.? ?hum\.?|vol\.?|v|w|wt|mass|mol|v/v|w/w|m/m|o2|co2|co|ch4|h2|lel|open|opening|dry|wet|of span|span|fs"
 QUALIFIED = re.compile(  # "%RH", "vol%", "ppmv": what the share is of does not change the number
-    r"(?:(?:vol|wt|mol|mass|m|v|w)[\s.-]*)?(%|pct|percent|per cent|ppm|ppb|‰)[\s.-]*\(?"
+    r"(?:(?:vol|wt|mol|mass|rh|m|v|w)[\s.-]*)?(%|pct|percent|per cent|ppm|ppb|‰)[\s.-]*\(?"
     rf"(?:{SHARES})?\)?",
     re.I,
 )
 ELECTRIC = re.compile(r"\b([pnumkM]?[VA])[\s_]*\(?(?i:ac|dc|rms)\)?(?![^\W_])")
-LOGARITHM = re.compile(r"dB(?:\(?[A-Za-zμu]{0,4}\)?)?|Np|pH|pKa", re.ASCII)
+LOGARITHM = re.compile(r"dB(?:\(?[A-Za-z]{0,4}\)?)?|DB|db|Np|(?i:ph)|pKa", re.ASCII)
 GAUGE = re.compile(r"(.*?[^\s._(\[-])[\s._-]*[(\[]?(gauge|gage|g|absolute|abs|a|differential|diff|d)[)\]]?", re.I)
 TOKEN = re.compile(r"\s*(\d+(?:\.\d+)?|\*\*|[*/^()-]|[^\W\d]+|[°%‰])")
 
@@ -253,8 +266,10 @@ def has_angle(unit: Any) -> bool:
 def _products(plain: str, case: str) -> Iterator[tuple[Reading, str]]:
     """The readings of a product of powers; behind one slash either a factor alone or all are divided by, as in W/m2 K."""
     text = re.sub(r"Δ\s*", "delta_", TEMPERATURE.sub(_temperature, plain))
+    for pattern, power in ROOMS:
+        text = pattern.sub(power, text)
     for pattern, name in NORMAL:
-        text = pattern.sub(lambda m, gas=name: f"{'kilo' if m[1] else ''}{gas}", text)  # type: ignore[misc]
+        text = pattern.sub(lambda m, gas=name: f"{GAS_PREFIXES[m[1]]}{gas}", text)  # type: ignore[misc]
     text = re.sub(r"(?<![^\W_])per(?![^\W_])", "/", ELECTRIC.sub(r"\1", text))
     text = re.sub(r"\.(?=$|[\s/)])", " ", text)  # of an abbreviation
     text = re.sub(r"\.(?=[^\W\d]|\()", "*", text)
@@ -338,7 +353,7 @@ def _meanings(name: str, case: str, alone: bool) -> tuple[tuple[str, str], ...]:
     """What a name of a unit means, as expressions of pint, each with the symbol; in a product a mass is also a force."""
     found = [(m, name) for m in _exact(name)]
     if case == "any" or (case and not found):
-        found += [(m, symbol) for symbol in _in_other_case(name) for m in _exact(symbol)]
+        found += [(m, symbol) for symbol in _in_other_case(name, case) for m in _exact(symbol)]
     if not alone:
         found = [(DELTAS.get(m, m), s) for m, s in found if "gravity" not in m]  # g is gram
         found += [(FORCES[m], s) for m, s in found if m in FORCES]
@@ -348,7 +363,7 @@ def _meanings(name: str, case: str, alone: bool) -> tuple[tuple[str, str], ...]:
 @lru_cache(TEXTS)
 def _exact(name: str) -> tuple[str, ...]:
     """What a name means as it is written."""
-    if name in SEVERAL or name.casefold() in SEVERAL:
+    if name in SEVERAL:
         return ()
     if match := MANY.fullmatch(name):
         return (f"{'kilo' if match[1] in 'kK' else 'mega'}{CUSTOMARY[match[2].casefold()]}",)
@@ -373,15 +388,17 @@ def _of_pint(name: str) -> tuple[str, ...]:
     return ()
 
 
-def _in_other_case(name: str) -> list[str]:
+def _in_other_case(name: str, case: str) -> list[str]:
     """The symbols that differ from a name by upper and lower case alone; m, the metre, is not M, molar and a million."""
-    return [] if name in ("m", "M") else [symbol for symbol in _symbols().get(name.casefold(), ()) if symbol != name]
+    if name in SEVERAL or (name in ("m", "M") and case != "any"):
+        return []
+    return [symbol for symbol in _symbols().get(name.casefold(), ()) if symbol != name]
 
 
 @cache
 def _symbols() -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
-    for symbol in (*NAMES, *METRIC, *(p + symbol for symbol, (_, prefixes) in METRIC.items() for p in prefixes)):
+    for symbol in (*METRIC, *(p + symbol for symbol, (_, prefixes) in METRIC.items() for p in prefixes), *NAMES):
         if symbol not in found.setdefault(symbol.casefold(), []):
             found[symbol.casefold()].append(symbol)
     return found
