@@ -44,6 +44,7 @@ CALENDARS = {
 }
 NEAR, FAR = 50.0, 1e3  # two steps within these factors of each other may be of one log, and are worth a question
 SHORTEST, LONGEST = 1e-3, 86400.0  # s between the rows of a log of which nothing is known
+LONGEST_COUNT = 1e9  # s: nothing is older than 30 years at the end of a log
 MOST = 3  # candidates that a finding names
 
 
@@ -132,9 +133,11 @@ def calendars(values: Array, latest: float) -> list[Calendar]:
     low, high = float(np.min(whole)), float(np.max(whole))
     found = []
     for digits, forms in CALENDARS.items():
-        if not 10 ** (digits - 1) <= low <= high < 10**digits or (digits < 14 and np.any(whole != values)):
+        if not 10 ** (digits - 2) <= low <= high < 10**digits or (digits < 14 and np.any(whole != values)):
             continue
         for form in forms:
+            if low < 10 ** (digits - 1) and (digits < 12 or form[1] not in "dm"):
+                continue  # a number lacks the zero of the first days and months
             stamps = calendar_stamps(values, form)
             if stamps is not None and FIRST <= _since_1970(stamps.min()) and _since_1970(stamps.max()) <= latest:
                 found.append(Calendar(form))
@@ -186,31 +189,43 @@ def recognised(values: Array, dt: float | None, latest: float) -> Count | Calend
     dt: the usual step of the plant, s, or None where it is not known. latest: the present, s since 1970, with what a clock may
     be ahead. Where more than seconds fits, dt decides, and AmbiguousTimesError is raised where it does not.
     """
-    plain, counted = count_of("s"), unix(values)
-    assert plain is not None
-    digits = calendars(values, latest)
-    if digits and (counted is None or float(np.max(counted.seconds(values))) > latest):
-        by_year = [c for c in digits if c.name.startswith("%Y")]
-        if len(by_year) == 1 and len(values) > 1:
-            digits = [c for c in digits if c in by_year or _steady(values, c.name) > _steady(values, by_year[0].name)]
-        step, steps = usual_step(values), [_calendar_step(values, c.name) for c in digits]
-        seconds_fit = dt is not None and step > 0 and is_near(step, dt) and values.max() < 1e9
-        if len(digits) == 1 and not (seconds_fit and not (steps[0] > 0 and is_near(steps[0], dt or 1.0))):
+    counted, digits = unix(values), _of_one_calendar(values, calendars(values, latest))
+    first = counted or Count("s", 1.0)
+    absurd = counted is None and values.max() > 1e10  # 300 years of seconds
+    ahead = counted is not None and float(np.max(counted.seconds(values))) > latest
+    if digits and (counted is None or ahead):
+        regular = _steady(values) >= max(_steady_calendar(values, c.name) for c in digits)
+        seconds_fit = dt is not None and values.max() < LONGEST_COUNT and regular and is_near(usual_step(values), dt)
+        if len(digits) == 1 and (not seconds_fit or is_near(_step_as(values, digits[0]), dt or 1.0)):
             return digits[0]
-        raise AmbiguousTimesError([*(shown_as(values, c) for c in digits), *([shown_as(values, plain)] if seconds_fit else [])])
-    others = [c for c in dated(values, latest) if counted is None or c.name != counted.name]
-    first, step, absurd = counted or plain, usual_step(values), values.max() > 1e10  # 300 years of seconds
-    if counted is not None and float(np.max(counted.seconds(values))) > latest:
-        return counted
-    for one in others[:1]:
-        fits = dt is not None and step > 0 and is_near(step * one.unit, dt)
-        if (values.max() > 1e15 and counted is None) or (
-            fits and ((absurd and counted is None) or not is_near(step * first.unit, dt or 1.0))
-        ):
-            return one
-        if dt is None and counted is None and 0 < step * one.unit <= 3600.0 and (absurd or not _is_round(values)):
-            raise AmbiguousTimesError([shown_as(values, one), shown_as(values, Count("us", 1e-6) if absurd else plain)])
-    return first
+        possible: list[Count | Calendar] = [*digits, first] if seconds_fit else [*digits]
+        raise AmbiguousTimesError([shown_as(values, c) for c in possible])
+    if ahead:
+        return first
+    others: list[Count | Calendar] = [c for c in dated(values, latest) if c.name != first.name]
+    if others and counted is None and values.max() > 1e15:  # 30 million years of seconds
+        return others[0]
+    others += digits
+    if dt is None:
+        likely = [c for c in others if 0 < _step_as(values, c) <= 3600.0] if counted is None else []
+        if likely and (absurd or not _is_round(values)):
+            raise AmbiguousTimesError([shown_as(values, c) for c in (*likely, Count("us", 1e-6) if absurd else first)])
+        return first
+    if is_near(_step_as(values, first), dt) and not absurd:
+        return first
+    fitting = [c for c in others if is_near(_step_as(values, c), dt)]
+    if len(fitting) > 1:
+        raise AmbiguousTimesError([shown_as(values, c) for c in fitting])
+    return fitting[0] if fitting else first
+
+
+def _of_one_calendar(values: Array, digits: list[Calendar]) -> list[Calendar]:
+    """Of calendars that all fit the one with the year first, and those by which the steps are more regular."""
+    by_year = [c for c in digits if c.name.startswith("%Y")]
+    if len(by_year) != 1 or len(values) < 2:
+        return digits
+    steady = _steady_calendar(values, by_year[0].name)
+    return [c for c in digits if c in by_year or _steady_calendar(values, c.name) > steady]
 
 
 def candidates(values: Array, taken: str, dt: float | None, latest: float) -> list[Count | Calendar]:
@@ -219,12 +234,11 @@ def candidates(values: Array, taken: str, dt: float | None, latest: float) -> li
     Those are counts whose steps are within FAR of dt, the nearest first, or without dt between SHORTEST and LONGEST; of counts
     since a date those with dates that a log can have.
     """
-    step = usual_step(values)
     counts: list[Count | Calendar] = [*calendars(values, latest), *dated(values, latest)]
-    counts += [Count(name, unit) for name, unit in SECONDS.items()]
+    counts += [Count(name, unit) for name, unit in SECONDS.items() if np.max(np.abs(values)) * unit <= LONGEST_COUNT]
 
     def away(c: Count | Calendar) -> float:
-        own = _calendar_step(values, c.name) if isinstance(c, Calendar) else step * c.unit
+        own = _step_as(values, c)
         if not own:
             return 0.0
         if dt is not None:
@@ -246,18 +260,25 @@ def _is_round(values: Array) -> bool:
     return bool(np.all(np.abs(values * 1e3 - np.round(values * 1e3)) < 1e-3))
 
 
-def _calendar_step(values: Array, form: str) -> float:
-    stamps = calendar_stamps(values, form)
-    return 0.0 if stamps is None else usual_step((stamps - stamps[0]) / np.timedelta64(1, "s"))
+def _step_as(values: Array, what: Count | Calendar) -> float:
+    """The usual step (s) of numbers that are counts or digits of a calendar."""
+    return usual_step(_seconds_of(values, what.name)) if isinstance(what, Calendar) else usual_step(values) * what.unit
 
 
-def _steady(values: Array, form: str) -> float:
-    """The share of the steps that are the usual one: of a calendar that is not the right one it is small."""
+def _seconds_of(values: Array, form: str) -> Array:
+    """Seconds since the first of numbers whose digits are dates."""
     stamps = calendar_stamps(values, form)
-    if stamps is None:
-        return 0.0
-    steps = np.abs(np.diff((stamps - stamps[0]) / np.timedelta64(1, "s")))
-    return float(np.mean(np.isclose(steps, np.median(steps), rtol=0.01)))
+    return np.zeros(values.shape) if stamps is None else (stamps - stamps[0]) / np.timedelta64(1, "s")
+
+
+def _steady(values: Array) -> float:
+    """The share of the steps that are the usual one: small of numbers that are read as what they are not."""
+    steps = np.abs(np.diff(values))
+    return float(np.mean(np.isclose(steps, np.median(steps), rtol=0.01))) if steps.size else 1.0
+
+
+def _steady_calendar(values: Array, form: str) -> float:
+    return _steady(_seconds_of(values, form))
 
 
 def shown_as(values: Array, what: Count | Calendar) -> str:
@@ -266,11 +287,11 @@ def shown_as(values: Array, what: Count | Calendar) -> str:
     if isinstance(what, Calendar):
         stamps = calendar_stamps(values, what.name)
         assert stamps is not None
-        first, step = str(stamps[0].astype("datetime64[s]")).replace("T", " "), _calendar_step(values, what.name)
+        first = str(stamps[0].astype("datetime64[s]")).replace("T", " ")
     else:
-        step = usual_step(values) * what.unit
         first = f"{values[0] * what.unit:.6g} s after a start"
         if what.since is not None:
             first = f"{datetime(1970, 1, 1) + timedelta(seconds=float(what.seconds(values[0]))):%Y-%m-%d %H:%M:%S}"
+    step = _step_as(values, what)
     apart = f", rows {step:.6g} s apart" if step else ""
     return f'format = "{form}" ({first}{apart})'

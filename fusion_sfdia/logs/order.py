@@ -126,10 +126,17 @@ def require_one_clock(where: str, rows: Rows, clock: Clock, log_map: LogMap) -> 
         fewest = min(map(len, shared)) if low <= high else 0
         hour = abs(back - HOUR) <= min(0.6 * step + 1.0, 0.1 * HOUR) and fewest >= min(FEW + 1, in_an_hour)
         reset = fewest == 0 and _is_reset(clock, float(t[k])) and t[before] - t[after - 1] > DAY
-        if (fewest <= FEW and not hour and not reset) or (fewest and _same_rows(rows, *shared)):
+        day = log_map.order == "refuse" and clock.start is not None and abs(back - DAY) <= step + 1.0
+        if (fewest <= FEW and not hour and not reset and not day) or (fewest and _same_rows(rows, *shared)):
             continue
         at = f"{where}, row {rows.rows[k]}, column {' '.join(log_map.time)}: {_at(clock, t[k])} after {_at(clock, t[k - 1])}"
-        raise ValueError(f"{at}; {_cause(clock, float(t[k]), back, step, hour, log_map)}")
+        cause = _cause(clock, float(t[k]), back, step, hour, log_map)
+        joined = (
+            '; or state order = "sort" in a map, if parts of a day were joined in another order'
+            if fewest <= FEW and day
+            else ""
+        )
+        raise ValueError(f"{at}; {cause}{joined}")
 
 
 def _cause(clock: Clock, t: float, back: float, step: float, hour: bool, log_map: LogMap) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.arguments import some
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.logs.epochs import FIRST, Calendar, candidates, is_near, shown_as
+from fusion_sfdia.logs.epochs import FIRST, LONGEST, LONGEST_COUNT, Calendar, candidates, is_near, shown_as
 from fusion_sfdia.logs.findings import Finding, counted
 from fusion_sfdia.logs.order import HOUR, places_changing
 from fusion_sfdia.logs.times import Expected, Times
@@ -20,7 +20,6 @@ Array = NDArray[Any]
 
 GAP = 2.5  # usual steps: a time between rows that is longer counts as a gap
 REGULAR, MULTIPLE = 0.8, 0.02  # share of the steps that are the usual one; how far a ratio of steps may be from a whole number
-LONGEST_STEP, LONGEST_COUNT = 86400.0, 1e9  # s: of numbers without a unit and without a plant, longer ones are suspected
 BEGIN_1904 = 2082844800.0  # s from 1904 to 1970
 
 
@@ -91,9 +90,9 @@ def _unusual_step(plant: Plant, t: Array, step: float, times: Times, expected: E
     usual = expected.dt
     if usual is None:
         begin = 0.0 if times.clock.start is not None else float(np.max(np.abs(t)))
-        if times.stated or times.numbers is None or (step <= LONGEST_STEP and begin <= LONGEST_COUNT):
+        if times.stated or times.numbers is None or (step <= LONGEST and begin <= LONGEST_COUNT):
             return []
-        text = f"rows are {step:.6g} s apart" if step > LONGEST_STEP else f"times are {begin:.6g} s after their start"
+        text = f"rows are {step:.6g} s apart" if step > LONGEST else f"times are {begin:.6g} s after their start"
     elif is_near(step, usual):
         ratio = max(step / usual, usual / step)
         steps = np.diff(t)
@@ -104,7 +103,7 @@ def _unusual_step(plant: Plant, t: Array, step: float, times: Times, expected: E
         return [Finding("step", "", 0, text)]
     else:
         text = f"rows are {step:.6g} s apart, the readings of plant {plant.name!r} {usual:g} s"
-        if times.stated or times.numbers is None:
+        if times.stated or times.numbers is None or "%" in times.taken:
             return [Finding("step", "", 0, f"{text}; times are {times.kind}")]
     text += ": are the times in seconds?"
     assert times.numbers is not None

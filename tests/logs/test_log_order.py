@@ -117,6 +117,11 @@ def test_a_clock_without_a_battery_and_a_date_that_stays(tmp_path: Path) -> None
     stays = [f"2024-07-01 {k // 60 % 24:02d}:{k % 60:02d}:00" for k in range(2000)]
     with pytest.raises(ValueError, match=r"row 1442, .* the date does not change at midnight: correct the dates from there on"):
         load(tmp_path, stays)
+    evening = [f"2024-07-01 {k // 60 % 24:02d}:{k % 60:02d}:00" for k in range(1320, 1560)]  # no time comes twice
+    either = r"the date does not change at midnight: .*; or state order = \"sort\" in a map, if parts of a day were joined"
+    with pytest.raises(ValueError, match=either):
+        load(tmp_path, evening)
+    assert np.all(np.diff(load(tmp_path, evening, order="sort").log.t) > 0)
 
 
 def test_few_late_rows_joined_files_and_exports_that_overlap_are_sorted(tmp_path: Path) -> None:

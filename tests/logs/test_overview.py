@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -114,3 +114,25 @@ def test_plain_seconds_stay_seconds(tmp_path: Path, start: float, dt: float | No
     found = read(tmp_path, steps(start, 5.0, 100), dt)
     np.testing.assert_array_equal(found.log.t - found.log.t[0], steps(0.0, 5.0, 100))
     assert not found.misread and (found.clock.start is None) == (start < 1e9)
+
+
+@pytest.mark.parametrize(("form", "step"), [("%Y%m%d%H", 3600.0), ("%Y%m%d", 86400.0)])
+def test_digits_of_the_calendar_are_no_other_unit_however_far_apart(tmp_path: Path, form: str, step: float) -> None:
+    times = [(datetime(2024, 7, 1) + timedelta(seconds=step * k)).strftime(form) for k in range(60)]
+    found = read(tmp_path, times)
+    assert not found.misread and np.allclose(np.diff(found.log.t), step)
+    assert f"times are digits of the calendar, {form} of UTC" in texts(found, "step")[0]
+
+
+def test_digits_without_the_zero_of_the_first_days(tmp_path: Path) -> None:
+    times = [(datetime(2024, 7, 1) + timedelta(seconds=60.0 * k)).strftime("%d%m%Y%H%M%S").lstrip("0") for k in range(60)]
+    with pytest.raises(ValueError, match=r'may be a time in several ways; .* "%d%m%Y%H%M%S" .* "%m%d%Y%H%M%S"'):
+        read(tmp_path, times, 60.0)
+    later = [(datetime(2024, 7, 13) + timedelta(seconds=60.0 * k)).strftime("%d%m%Y%H%M%S") for k in range(60)]
+    assert read(tmp_path, later, 60.0).clock.at(0.0) == "2024-07-13 00:00:00+00:00"
+
+
+def test_candidates_are_no_absurd_counts(tmp_path: Path) -> None:
+    found = read(tmp_path, steps(1.2e9, 6e7), 60.0)
+    assert 'format = "us" (1200 s after a start, rows 60 s apart)' in texts(found, "time unit suspected")[0]
+    assert '"s"' not in texts(found, "time unit suspected")[0] and '"h"' not in texts(found, "time unit suspected")[0]
