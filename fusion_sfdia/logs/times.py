@@ -214,6 +214,8 @@ def times_of(
     if kind == "M":
         stamps, own = _present(table, title, column), getattr(column.dtype, "tz", None)
         return _of_stamps(table, title, stamps, own, log_map, tags, "time stamps")
+    if kind in "biuf" and re.fullmatch("(?:%[YymdHMS])+", log_map.format):
+        return _of_numbers(table, title, column, unit, log_map, tags, expected)
     if not log_map.has_pattern and (kind in "biuf" or log_map.format or _is_number(_first(column), log_map)):
         return _of_numbers(table, title, column, unit, log_map, tags, expected)
     return _of_texts(table, title, [_text(c) for c in column], log_map, tags)
@@ -242,7 +244,7 @@ def _of_numbers(
             f"{table.text(int(np.argmax(np.isnan(values))))}, column {title}: ''; expected a finite number in each row"
         )
     given = log_map.format or unit
-    count: Count | Calendar | None = count_of(given) if given else None
+    count: Count | Calendar | None = Calendar(given) if log_map.has_pattern else count_of(given) if given else None
     if count is None:
         try:
             count = recognised(values, expected.dt, expected.latest)
@@ -252,9 +254,10 @@ def _of_numbers(
             ) from error
     if isinstance(count, Calendar):
         stamps = calendar_stamps(values, count.name)
-        assert stamps is not None
+        if stamps is None:
+            raise ValueError(f"{table.where}, column {title}: {values[0]:.17g}; expected digits as {count.name} in each row")
         found = _of_stamps(table, title, stamps, None, log_map, tags, f"digits of the calendar, {count.name}")
-        return found._replace(numbers=values, taken=count.name, stated=False)
+        return found._replace(numbers=values, taken=count.name, stated=bool(given))
     if count.since is None and (counted_ := unix(values, count.name)) is not None and given:
         count = counted_
     if count.since is None:

@@ -187,3 +187,17 @@ def test_one_time_as_a_column_of_it() -> None:
 def test_refused(tmp_path: Path, times: list[Any], log_map: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         load(tmp_path, times, **log_map)
+
+
+@pytest.mark.parametrize("dtype", ["int64", "float64"])
+def test_digits_of_the_calendar_in_a_frame(dtype: str) -> None:
+    pandas = pytest.importorskip("pandas")
+    frame = (
+        pandas.DataFrame({"time": [1052024120000, 1052024120005]})
+        .astype(dtype)
+        .assign(l1=1, l2=1, q12=6e-4, q2=6e-4, inflow=6e-4)
+    )
+    found = load_log(frame, tanks(), LogMap(format="%d%m%Y%H%M%S"))
+    assert found.log.t.tolist() == [0.0, 5.0] and found.clock.start == NOON
+    with pytest.raises(ValueError, match="1052024120000; expected digits as %Y%m%d%H%M%S in each row"):
+        load_log(frame, tanks(), LogMap(format="%Y%m%d%H%M%S"))
