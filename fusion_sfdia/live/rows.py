@@ -193,7 +193,7 @@ class TextRows:
     def _unusable(self, title: str, cell: Any, fault: str) -> None:
         self.unusable[title] += 1
         if self.unusable[title] == 1:
-            self.refused(f"line {self.lines}, column {title}: {shown(cell)}: {fault}; the value is missing, the row counts")
+            self.refused(f"line {self.lines}, column {title}: {shown(cell)}: {fault}; its value is missing")
 
     def end(self) -> None:
         """Say how many values of a column could not be used, at the end of the input, where it was more than one."""

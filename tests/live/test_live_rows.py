@@ -56,7 +56,7 @@ def test_a_cell_that_is_no_number_is_a_missing_value_and_the_row_counts() -> Non
         np.testing.assert_allclose(found[2], [u])
     first = [remark.split(":")[0] for remark in said]
     assert first == ["line 2, column q12", "line 3, column s", "line 5, column m", "line 5, column inflow"]
-    assert all(remark.endswith("; the value is missing, the row counts") for remark in said)
+    assert all(remark.endswith("; its value is missing") for remark in said)
     rows.end()
     assert said[4:] == ["column q12: 4 values could not be used and are missing, the first one as said"]
     json_rows = TextRows(tanks(), refused=said.append)
