@@ -18,7 +18,7 @@ LAST = 0.9  # s from a signal to the end of the process, where no attempt has he
 
 
 class InterruptedBySignal(KeyboardInterrupt):
-    """Of its own class: after a KeyboardInterrupt itself within `exec`, as dataclasses call it, CPython always ends by SIGINT."""
+    """Of its own class: after a KeyboardInterrupt itself within `exec`, as dataclasses use it, CPython ends by SIGINT."""
 
 
 class Interruption:

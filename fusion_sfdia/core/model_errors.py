@@ -62,6 +62,14 @@ def described(error: Exception) -> str:
     return f"its function `{frames[-1].name}` ({Path(frames[-1].filename).name}, line {frames[-1].lineno}) raised {raised}"
 
 
+def failed(plant: Plant, when: str, error: Exception) -> Exception:
+    """A ModelError that names plant, time, function and error; an error itself that is for the caller and of no model."""
+    of_a_model = any(_of_a_model(f.filename) for f in traceback.extract_tb(error.__traceback__)[1:])
+    if isinstance(error, ValueError | ArithmeticError) and not of_a_model:
+        return error
+    return ModelError(f"the model of plant {plant.name!r} failed {when}: {described(error)}; correct it, then diagnose again")
+
+
 def _of_a_model(file: str) -> bool:
     path = Path(file)
     if any(path.is_relative_to(folder) for folder in MODELS):

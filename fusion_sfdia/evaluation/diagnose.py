@@ -24,6 +24,7 @@ from fusion_sfdia.core.detector import (
 )
 from fusion_sfdia.core.gaps import Gap, Track, bridged
 from fusion_sfdia.core.log import Log, one_run
+from fusion_sfdia.core.model_errors import failed
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.redundancy import redundancy
 from fusion_sfdia.core.verdicts import ALL_FAR, NO_THRESHOLDS, TOO_MANY, Conclusion, Verdict, far_off, judged, undecidable
@@ -215,7 +216,7 @@ def diagnose_run(
     t, y, u = log
     track, gaps = bridged(detector.plant, log)
     with threadpool_limits(1):  # of linear algebra: matrices are small, threads would wait for each other
-        decisions = decided(detector, track, each)
+        decisions = decided(detector, track, each, clock)
     y = present(y, decisions)
     frozen = repeats(y)
     out = left_out(decisions.isolated[:, : y.shape[1]])
@@ -230,7 +231,10 @@ def diagnose_run(
         for k in np.flatnonzero(np.any(decisions.absurd_input, axis=1)):
             track.u[own[k]] = np.where(decisions.absurd_input[k], detector.plant.input_at(float(t[k])), u[k])
     with threadpool_limits(1):
-        look = hindsight(model_of(detector), track, out, each)
+        try:
+            look = hindsight(model_of(detector), track, out, each)
+        except Exception as error:  # of the model, which may raise anything
+            raise failed(detector.plant, "in the second look", error) from error
     starts = np.flatnonzero(np.isfinite(track.begins[track.own]))
     health, after = health_of(detector.plant.sensor_names, look, starts, alarm_rate_of(detector), ()), look.residuals
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -268,7 +272,9 @@ def _why(detector: Detector) -> str:
     return redundancy(detector.plant).reason if detector.max_faults is None else "as max_faults states"
 
 
-def decided(detector: Detector, track: Track, each: Callable[[Sequence[int]], Iterable[int]]) -> Decision:
+def decided(
+    detector: Detector, track: Track, each: Callable[[Sequence[int]], Iterable[int]], clock: Clock = SECONDS
+) -> Decision:
     """The Decisions at the samples of a log; a detector that has `steps` takes all of a run at once."""
     if hasattr(detector, "steps"):
         starts = np.flatnonzero(np.isfinite(track.begins))
@@ -282,7 +288,10 @@ def decided(detector: Detector, track: Track, each: Callable[[Sequence[int]], It
     for s in each(range(track.t.size)):
         if state is None or np.isfinite(track.begins[s]):
             state = detector.init((), float(track.begins[s]))
-        state, decision = detector.step(state, float(track.t[s]), track.y[s], track.u[s])
+        try:
+            state, decision = detector.step(state, float(track.t[s]), track.y[s], track.u[s])
+        except Exception as error:  # of the model, which may raise anything
+            raise failed(detector.plant, f"at {clock.at(float(track.t[s]))}", error) from error
         if track.own[s]:
             found.append(replace(decision, covariance=None))
         if len(found) == BLOCK or (s == track.t.size - 1 and found):
