@@ -10,11 +10,12 @@ import numpy as np
 from fusion_sfdia.core.linear import linear_plant
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.logs.columns import split_title
-from fusion_sfdia.logs.findings import LoadedLog
+from fusion_sfdia.logs.findings import Finding, LoadedLog
 from fusion_sfdia.logs.grid import tagged
 from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap
 from fusion_sfdia.logs.numbers import Numbers
 from fusion_sfdia.logs.reading import read_log
+from fusion_sfdia.logs.regularity import regularities
 from fusion_sfdia.logs.tables import Table, read_table
 from fusion_sfdia.logs.times import Expected
 
@@ -64,4 +65,18 @@ def load(source: Any, sensors: Sequence[Signal], inputs: Sequence[Signal] = (), 
         [Sensor(s.name, s.name, s.unit, sigma=1.0) for s in sensors],
         dt=1.0, x0=np.zeros(1), initial_cov=np.ones(1), process_cov=np.ones(1), inputs=inputs,
     )  # fmt: skip
-    return read_log(source, plant, log_map, {"absent": False, "other": True, "nominal": False}, Expected(dt=None))
+    found = read_log(source, plant, log_map, {"absent": False, "other": True, "nominal": False}, Expected(dt=None))
+    regular = regularities(plant, found.log)
+    repeats = [
+        Finding("repeat", sensors[i].name, regular.taken[i],
+                f"{sensors[i].name} repeats its value, new every {one.usual} rows ({one.usual * regular.step:.6g} s); "
+                "so it is learnt, and slow to show a fault")
+        for i, one in regular.repeats.items()
+    ]  # fmt: skip
+    cyclic = [
+        Finding("period", sensors[i].name, 0,
+                f"{sensors[i].name} jumps by {p:.6g} {sensors[i].unit} as an angle does after a full turn, which no linear "
+                "model follows: leave it out with --ignore, or write its sine and cosine into the log")
+        for i, p in regular.periods.items()
+    ]  # fmt: skip
+    return found._replace(findings=(*found.findings, *repeats, *cyclic))

@@ -14,6 +14,7 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.logs.check import check_log, without_suspects
 from fusion_sfdia.logs.csv_log import write_log
 from fusion_sfdia.logs.regularity import regularities
+from fusion_sfdia.monitoring.logs import load, signals_of
 from fusion_sfdia.report.log_report import diagnose_log
 
 Array = NDArray[np.float64]
@@ -149,3 +150,21 @@ def test_check_log_and_the_report_state_what_was_found(tanks: Plant, tmp_path: P
     with pytest.warns(UserWarning, match="repeats its value, new every 10 rows"):
         found = diagnose_log(tmp_path / "log.csv", registry.detector("loo-glr", tanks), tmp_path / "out")
     assert found.events == ()
+
+
+def test_monitor_states_slow_and_cyclic_columns(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    t = np.arange(300.0)
+    columns = {
+        "time": t,
+        "fast": rng.standard_normal(300),
+        "slow": rng.standard_normal(30).repeat(10),
+        "vane [deg]": np.mod(300 + t, 360),
+    }
+    path = tmp_path / "log.csv"
+    np.savetxt(path, np.column_stack([*columns.values()]), delimiter=",", header=",".join(columns), comments="")
+    found = load(path, *signals_of(path))
+    texts = {f.kind: f.text for f in found.findings if f.kind in ("repeat", "period")}
+    assert texts["repeat"].startswith("slow repeats its value, new every 10 rows (10 s)")
+    assert texts["period"].startswith("vane jumps by 360 deg")
+    assert np.isfinite(found.log.y).all()
