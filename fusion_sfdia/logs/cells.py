@@ -178,8 +178,10 @@ def _refused(
     if numbers.states and c is not None:
         expected = f"a number or a state that states has, {some([str(s) for s in numbers.states])}"
         cure = "add its number to states, or it to bad where it marks a missing value"
-    elif marks := _other_marks(numbers, odd):
-        cure = f"state in a map {' or '.join(marks)}"
+    elif marks := _other_marks(numbers, [cell for cell in odd if re.search(r"\d", str(cell))]):
+        words = sorted(text for text in texts if not re.search(r"\d", text))
+        bad = f", and bad = {json.dumps(words, ensure_ascii=False)} where such texts mark missing readings" if words else ""
+        cure = f"state in a map {' or '.join(marks)}{bad}"
     elif all(isinstance(cell, bool | np.bool_) or not re.search(r"\d", str(cell)) for cell in odd):
         bad = f"bad = {json.dumps(sorted(texts), ensure_ascii=False)}"
         alone = len(odd) == sum(str(cell).strip() != "" for cell in cells if cell is not None and cell == cell)
@@ -207,10 +209,13 @@ def _is_number(numbers: Numbers, cell: Any) -> bool:
 
 def _other_marks(numbers: Numbers, odd: Sequence[Any]) -> list[str]:
     """The marks of decimals and thousands with which all cells are numbers that are none as the map has it."""
-    found, used = [], set()
+    found: list[str] = []
+    used: set[tuple[float, ...]] = set()
     for decimal, thousands in MARKS:
         other = Numbers(decimal, thousands, numbers.bad)
-        if (decimal, thousands) == (numbers.decimal, numbers.thousands) or not all(isinstance(cell, str) for cell in odd):
+        if (decimal, thousands) == (numbers.decimal, numbers.thousands) or not (
+            odd and all(isinstance(cell, str) for cell in odd)
+        ):
             continue
         if all(_is_number(other, cell) for cell in odd):
             reading = tuple(other.quantity(cell)[0] for cell in odd[:100])

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 MOST = 30  # lines of an error
 
+EXAMPLE = re.compile(r"\([^()]*\)|\d")  # in a cure: of one column alone
 PLACE = re.compile(r"(?:, row (\d+))?(?:, column (.+?))?: (.*)", re.DOTALL)
 
 
@@ -87,9 +88,14 @@ class Problems:
         """Take a ValueError of the block as a problem of this kind, of this column, and go on behind the block."""
         try:
             yield
-        except LogError as error:
-            self.problems += error.problems
         except ValueError as error:
+            self.take(kind, error, column)
+
+    def take(self, kind: str, error: ValueError, column: str = "") -> None:
+        """Add what an error states; of a LogError its problems, whatever their kind."""
+        if isinstance(error, LogError):
+            self.problems += error.problems
+        else:
             self.problems.append(Problem.of(kind, self.where, error, column))
 
     def add(self, kind: str, message: str, *, row: int = 0, column: str = "", count: int = 1) -> None:
@@ -114,11 +120,11 @@ class Problems:
 
 
 def _lines(problems: Sequence[Problem]) -> list[str]:
-    """A line for each problem; those of several columns with the same cure are one, which shows the first."""
+    """A line for each problem; of several columns with the same cure, but for its numbers, one line, which shows the first."""
     groups: dict[tuple[str, str], list[Problem]] = {}
     for p in problems:
-        same = p.cure if p.column and p.cure else str(p)
-        groups.setdefault((p.kind, same), []).append(p)
+        cure = EXAMPLE.sub("", p.cure.rpartition("; ")[2])
+        groups.setdefault((p.kind, cure if p.column and p.cure else str(p)), []).append(p)
     lines = []
     for group in groups.values():
         columns = list(dict.fromkeys(p.column for p in group))

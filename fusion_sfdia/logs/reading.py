@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import some
+from fusion_sfdia.core.detector import MissingPackageError
 from fusion_sfdia.core.log import Log, usual_inputs
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.logs.columns import Sources, require_columns_of
@@ -22,7 +23,7 @@ from fusion_sfdia.logs.mask import masked_rows
 from fusion_sfdia.logs.order import Rows, in_order
 from fusion_sfdia.logs.overview import overview
 from fusion_sfdia.logs.problems import Problems
-from fusion_sfdia.logs.tables import read_table
+from fusion_sfdia.logs.tables import Table, is_frame, read_table
 from fusion_sfdia.logs.times import UNKNOWN, Expected
 
 Array = NDArray[Any]
@@ -54,10 +55,10 @@ def load_log(
 
 def read_log(source: Any, plant: Plant, chosen: LogMap, allowed: dict[str, bool], expected: Expected) -> LoadedLog:
     """The log that `load_log` returns; allowed: as `find_sources` takes it."""
-    table = read_table(source, chosen)
-    problems = Problems(table.where)
+    problems = Problems("the frame" if is_frame(source) else str(source))
     with problems.collecting("map"):
         require_columns_of(plant, chosen)
+    table = _table(source, chosen, problems)
     read = long_rows if chosen.tag else wide_rows
     sources, rows, times, findings = read(table, plant, chosen, allowed, problems, expected)
     if times.kind == UNKNOWN:  # an input without any value is missing however long it is held
@@ -76,6 +77,21 @@ def read_log(source: Any, plant: Plant, chosen: LogMap, allowed: dict[str, bool]
         findings.append(Finding("ignored", "", count, f"{counted(count, 'column')} not used: {some(sources.ignored)}"))
     absent = tuple(n for n in plant.sensor_names if n not in {c.name for c in sources.columns})
     return LoadedLog(log, times.clock, (*overview(plant, log, times, expected), *findings), absent, sources.columns)
+
+
+def _table(source: Any, log_map: LogMap, problems: Problems) -> Table:
+    """The table of a log; LogError where there is none. Of text in another encoding, a problem, what is readable."""
+    for encoding in (log_map.encoding, "latin-1"):
+        try:
+            return read_table(source, replace(log_map, encoding=encoding))
+        except MissingPackageError:
+            raise
+        except ValueError as error:
+            problems.take("file", error)
+            if "encoding in a map" not in str(error):
+                break
+    problems.require_none()
+    raise AssertionError("a file without a table is a problem")
 
 
 def _log(

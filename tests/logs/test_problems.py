@@ -128,6 +128,20 @@ def test_the_columns_of_times_are_named_and_their_order_is_looked_at_in_the_same
     assert (time.kind, time.row, order.kind, order.row) == ("time", 2, "order", 5)
 
 
+def test_a_log_in_which_everything_is_otherwise_is_stated_in_one_run(tmp_path: Path) -> None:
+    rows = [f"{13 + k}/02/2025 06:00;1{k},5;1,0;180,0;1,0;1,0" for k in range(8)]
+    rows[3] = rows[3].replace("180,0", "Störung")
+    rows[5], rows[6] = rows[6], rows[5]
+    text = "\n".join(["Kessel Süd", "Zeit;pressure;steam;drum;feed;fuel", *rows]) + "\n"
+    (tmp_path / "log.csv").write_bytes(text.encode("cp1252"))
+    with pytest.raises(LogError) as caught:
+        load_log(tmp_path / "log.csv", PLANT)
+    stated = str(caught.value)
+    for cure in ("encoding", 'time = "Zeit", format = "%d/%m/%Y %H:%M"', 'decimal = ","', 'order = "sort"', "bad = ["):
+        assert cure in stated, cure
+    assert len(stated.splitlines()) <= 7
+
+
 def test_a_title_with_its_unit_in_the_map_is_in_that_unit(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("time,P [kPa],steam,drum [K],feed,fuel\n0,1000,1,453.15,1,1\n60,1000,1,453.15,1,1\n")
@@ -162,7 +176,8 @@ def test_columns_with_the_same_problem_share_a_line_and_one_problem_is_as_it_was
         problems.require_none()
     assert str(caught.value) == "log.csv: 3 problems\n  3 columns (a, b, c), first row 2, column a: 'x0'; expected a number"
     assert str(LogError([problems.problems[0]])) == "log.csv, row 2, column a: 'x0'; expected a number"
-    many = LogError([Problem("cells", "log.csv", k, f"c{k}", 1, "'x'", f"cure {k}") for k in range(500)])
+    cures = ["".join(chr(97 + (k // 26**i) % 26) for i in range(2)) for k in range(500)]
+    many = LogError([Problem("cells", "log.csv", k, f"c{k}", 1, "'x'", cures[k]) for k in range(500)])
     assert str(many).count("\n") == 30 and str(many).endswith("and 471 more problems")
     assert str(pickle.loads(pickle.dumps(many))) == str(many)
 
