@@ -197,7 +197,7 @@ def split_rows(where: str, lines: list[str], header: Header) -> tuple[list[Row],
                 if taken > 1 and width and (taken > MOST_LINES or len(row) != width):
                     break
                 number, done = number + 1, reader.line_num
-                if any(row) and any(c.strip() for c in row):
+                if any(map(str.strip, row)):
                     rows.append((number, row))
                     width = width or len(row)
             else:

@@ -49,7 +49,7 @@ def plain_table(file: IO[bytes]) -> tuple[list[str], Array] | None:
             count += len(rows)
         elif len(rest) > LONGEST:
             return None
-    return (titles, columns[:, :count].T) if count else None
+    return (titles, columns[:, :count].T) if count and not _some_are_short(columns[-1, :count]) else None
 
 
 def last_rows(file: IO[bytes]) -> list[str]:
@@ -103,11 +103,29 @@ def _rows(lines: bytes, width: int) -> Array | None:
 
 
 def _of_width(lines: bytes, width: int) -> bool:
-    """Whether each line has so many cells: of what stands between cells each width-th ends a line, and nothing else does."""
+    """Whether each line has so many cells, the last with as many decimals: each width-th mark between cells ends a line."""
     text = np.frombuffer(lines, np.uint8)
-    ends = text[(text == ord(",")) | (text == ord("\n"))] == ord("\n")
+    newline = text == ord("\n")
+    ends = newline[(text == ord(",")) | newline]
     rows = (ends.size + 1) // width
-    return rows * width == ends.size + 1 and bool(ends[width - 1 :: width].all()) and int(ends.sum()) == rows - 1
+    if rows * width != ends.size + 1 or not ends[width - 1 :: width].all() or int(ends.sum()) != rows - 1:
+        return False
+    last = lines.partition(b"\n")[0].rpartition(b",")[2].rpartition(b".")
+    # a few with fewer decimals than the first may be cut off
+    at = np.append(np.flatnonzero(newline), text.size) - len(last[2]) - 1
+    odd = np.count_nonzero(text[at] != ord(".")) if last[1] else 0
+    return not 0 < odd <= few_of(rows)
+
+
+def few_of(rows: int) -> int:
+    """The most rows that are taken as damaged where all others are alike."""
+    return max(3, rows // 1000)
+
+
+def _some_are_short(column: Array) -> bool:
+    """Whether a few of the last numbers have at most 6 decimals while all others have more: they may be cut off."""
+    short = int(np.count_nonzero(np.round(column, 6) == column))
+    return 0 < short <= few_of(column.size) and column.size > short
 
 
 def _cells(text: bytes) -> list[float | None]:

@@ -12,11 +12,14 @@ from fusion_sfdia.core.arguments import some
 from fusion_sfdia.logs.delimited import Cells, Row, bare, is_reading, listed, too_many
 from fusion_sfdia.logs.findings import Finding
 from fusion_sfdia.logs.log_map import LogMap
+from fusion_sfdia.logs.plain import few_of
 from fusion_sfdia.logs.unit_texts import is_unknown
 
 NUMBER = re.compile(r"[+-]?(\d*)(?:[.,](\d*))?(?:[eE]([+-]?\d*))?")
 PROCESSING = {"Avg", "Max", "Med", "Min", "Smp", "Std", "Tot"}  # of a TOA5 header; pint takes Min for mega-inches
 MOST_TEXT_ROWS = 5
+LEAST = 20  # rows that show how all numbers of a column are written
+FULL_DIGITS = 10  # decimals of numbers in full
 RECENT = 200  # rows with which a last cell is compared
 SAMPLED = 500  # rows that show what is usual in a column
 
@@ -49,6 +52,12 @@ def rectangle(where: str, cells: Cells, log_map: LogMap, findings: list[Finding]
     short: dict[int, int] = {}
     if odd:
         below, short = _of_width(where, rows[0], titles, below, odd, findings, cells.separator)
+    if cells.separator and (cut := _cut_numbers([row[-1] for _, row in below])):
+        for k in cut:
+            n, row = below[k]
+            below[k], short[n] = (n, [*row[:-1], ""]), width - 1
+        text = f"{listed([below[k][0] for k in cut])} with a last number that is not finished, taken as missing"
+        findings.append(Finding("short rows", "", len(cut), text))
     return Rectangle(titles, units, below, short)
 
 
@@ -178,12 +187,13 @@ def _without_headers(
     """The rows without those of a header that a logger wrote again; ValueError for one with other columns."""
     marks = {cells[0] for cells in (titles, *others) if cells and cells[0] and not cells[0][0].isdigit()}
     known = {tuple(cells) for cells in others}
+    looked_for = {"", *marks, *(f"{mark} " for mark in marks)}
     again: list[int] = []
     for k, (n, row) in enumerate(below):
-        if not (isinstance(row[0], str) and (row[0].strip() in marks or not row[0])):
+        if row[0] not in looked_for:
             continue
         cells = [_text(c) for c in row]
-        if cells == [*titles] or tuple(cells) in known or (row[0].strip() in marks and not _holds_times(cells, log_map)):
+        if cells == [*titles] or tuple(cells) in known or (cells[0] in marks and not _holds_times(cells, log_map)):
             again.append(k)
         elif _holds_times(cells, log_map) and not is_reading(cells):
             raise ValueError(
@@ -212,6 +222,39 @@ def _without_cut(below: list[Row], width: int, findings: list[Finding]) -> list[
         findings.append(cut_row(n))
         return below[:-1]
     return below
+
+
+def _cut_numbers(column: list[str]) -> list[int]:
+    """The positions in a last column of numbers that a line end has cut off: a few with fewer digits than all others have.
+
+    That is told where all have as many decimals, or about sixteen digits, or as many digits and no decimals, and the shorter
+    number begins one within their range, and where only a few end before or at the point; not of a column that has few values,
+    as of a switch.
+    """
+    few = few_of(len(column))
+    if len(column) < LEAST or 2 * len({*column}) <= len(column):
+        return []
+    if any("," in c for c in column[:LEAST]):
+        column = [c.replace(",", ".") for c in column]
+    ends = [len(c) - 1 - c.rfind(".") if "." in c else -len(c.lstrip("+-")) for c in column]
+    usual, count = Counter(ends).most_common(1)[0]
+    if len(column) - count > few:  # numbers without the zeros at their end, or in full
+        digits = 2 * sorted(ends)[len(ends) // 2] // 3
+        usual = digits if digits >= FULL_DIGITS else 1
+    found = [k for k, digits in enumerate(ends) if (digits < usual if usual > 0 else 0 > digits > usual)]
+    if not 0 < len(found) <= few:
+        return []
+    found = [k for k in found if NUMBER.fullmatch(column[k]) and "e" not in column[k].casefold()]
+    if usual < 0:
+        others = [_value(c) for c in column if len(c.lstrip("+-")) == -usual]
+        margin = 0.5 * (max(others) - min(others))
+        tens = {k: 10.0 ** (-usual - len(column[k].lstrip("+-"))) for k in found}
+        found = [
+            k
+            for k in found
+            if _value(column[k]) * tens[k] <= max(others) + margin and (_value(column[k]) + 1) * tens[k] > min(others) - margin
+        ]
+    return found
 
 
 def _of_width(
