@@ -118,8 +118,8 @@ def _of_width(lines: bytes, width: int) -> bool:
 
 
 def few_of(rows: int) -> int:
-    """The most rows that are taken as damaged where all others are alike."""
-    return max(3, rows // 1000)
+    """The most rows that are taken as damaged where all others are alike; 0 where these are too few to tell."""
+    return max(3, rows // 1000) if rows >= 20 else 0
 
 
 def _some_are_short(column: Array) -> bool:

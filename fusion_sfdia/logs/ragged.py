@@ -18,7 +18,6 @@ from fusion_sfdia.logs.unit_texts import is_unknown
 NUMBER = re.compile(r"[+-]?(\d*)(?:[.,](\d*))?(?:[eE]([+-]?\d*))?")
 PROCESSING = {"Avg", "Max", "Med", "Min", "Smp", "Std", "Tot"}  # of a TOA5 header; pint takes Min for mega-inches
 MOST_TEXT_ROWS = 5
-LEAST = 20  # rows that show how all numbers of a column are written
 FULL_DIGITS = 10  # decimals of numbers in full
 RECENT = 200  # rows with which a last cell is compared
 SAMPLED = 500  # rows that show what is usual in a column
@@ -232,19 +231,19 @@ def _cut_numbers(column: list[str]) -> list[int]:
     as of a switch.
     """
     few = few_of(len(column))
-    if len(column) < LEAST or 2 * len({*column}) <= len(column):
+    if not few or 2 * len({*column}) <= len(column):
         return []
-    if any("," in c for c in column[:LEAST]):
+    if any("," in c for c in column[:20]):
         column = [c.replace(",", ".") for c in column]
     ends = [len(c) - 1 - c.rfind(".") if "." in c else -len(c.lstrip("+-")) for c in column]
     usual, count = Counter(ends).most_common(1)[0]
     if len(column) - count > few:  # numbers without the zeros at their end, or in full
         digits = 2 * sorted(ends)[len(ends) // 2] // 3
         usual = digits if digits >= FULL_DIGITS else 1
-    found = [k for k, digits in enumerate(ends) if (digits < usual if usual > 0 else 0 > digits > usual)]
+    found = [k for k, digits in enumerate(ends) if column[k] and (digits < usual if usual > 0 else 0 > digits > usual)]
     if not 0 < len(found) <= few:
         return []
-    found = [k for k in found if NUMBER.fullmatch(column[k]) and "e" not in column[k].casefold()]
+    found = [k for k in found if _is_number(column[k]) and "e" not in column[k].casefold()]
     if usual < 0:
         others = [_value(c) for c in column if len(c.lstrip("+-")) == -usual]
         margin = 0.5 * (max(others) - min(others))

@@ -121,6 +121,10 @@ def _of_mdf(file: IO[bytes], log_map: LogMap) -> list[Channel]:
     """Channels with the master of their group, in seconds since the start that the file states."""
     from asammdf import MDF
 
+    file.seek(64)
+    if not file.read(4).startswith((b"##HD", b"HD")):  # asammdf does not close a file that fails so early
+        raise ValueError("no header behind the first bytes")
+    file.seek(0)
     found = []
     with MDF(file) as mdf:
         start: datetime = mdf.header.start_time

@@ -349,3 +349,25 @@ def test_mdf(tmp_path: Path) -> None:
     path.write_bytes(b"MDF     4.10    asammdf " + bytes(range(256)))
     with pytest.raises(ValueError, match=r"log.mf4 is a MDF file that asammdf does not read"):
         load_log(path, PLANT)
+
+
+@pytest.mark.parametrize(
+    ("column", "cut"),
+    [
+        ([f"{7 + k / 1000:.3f}" for k in range(30)], ["7.0", "7.", "7"]),
+        ([repr(7 + (k + 0.5) ** 0.5) for k in range(60)], ["7.41", "8.1234567"]),
+        ([f"{7 + k / 1000:.3f}".rstrip("0") for k in range(1, 200)], ["7.", "7"]),
+        ([str(7000 + 7 * k) for k in range(30)], ["70", "7", "71"]),
+        ([f"7,{k:03d}" for k in range(30)], ["7,0"]),
+        ([str(1000 + k) for k in range(30)], ["1"]),
+    ],
+)
+def test_last_numbers_that_a_line_end_cuts_off(tmp_path: Path, column: list[str], cut: list[str]) -> None:
+    """Missing where no other number ends so early; an empty cell, a smaller whole number and a rare state are what they are."""
+    from fusion_sfdia.logs.ragged import _cut_numbers
+
+    for number in cut:
+        assert _cut_numbers([*column[:9], number, *column[9:]]) == [9]
+    for number in ("", "999", "6998") if column[0].isdigit() else ("", column[0], "-" + column[0]):
+        assert _cut_numbers([*column[:9], number, *column[9:]]) == []
+    assert _cut_numbers(["0.5"] * 30 + ["0"] + ["0.5"] * 9) == []
