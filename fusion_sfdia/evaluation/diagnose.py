@@ -278,10 +278,13 @@ def decided(
     """The Decisions at the samples of a log; a detector that has `steps` takes all of a run at once."""
     if hasattr(detector, "steps"):
         starts = np.flatnonzero(np.isfinite(track.begins))
-        runs = [
-            detector.steps(detector.init((), float(track.begins[a])), track.t[a:b], track.y[a:b], track.u[a:b])[1]
-            for a, b in zip(starts, [*starts[1:], track.t.size], strict=True)
-        ]
+        try:
+            runs = [
+                detector.steps(detector.init((), float(track.begins[a])), track.t[a:b], track.y[a:b], track.u[a:b])[1]
+                for a, b in zip(starts, [*starts[1:], track.t.size], strict=True)
+            ]
+        except Exception as error:  # of the model, which may raise anything
+            raise failed(detector.plant, "in this log", error) from error
         whole = runs[0] if len(runs) == 1 else joined(runs)
         return whole if track.own.all() else chosen(whole, track.own)
     state, blocks, found = None, [], []

@@ -17,7 +17,7 @@ from asyncua import Server, ua
 
 START = datetime(2026, 3, 1, 14, 0)  # UTC, as OPC UA has it
 NAMES = ("l1", "l2", "q12", "q2", "inflow")
-OUTPUTS = {"l1.value": 0.0, "l1.sigma": 0.0, "l1.verdict": "", "verdict": "", "alarm": False}
+OUTPUTS = {"l1.value": 0.0, "l1.sigma": 0.0, "l1.verdict": "", "verdict": "", "alarm": False, "watch": ""}
 QUALITY = {0: ua.StatusCodes.Good, 1: ua.StatusCodes.UncertainSensorNotAccurate, 2: ua.StatusCodes.BadSensorFailure}
 
 

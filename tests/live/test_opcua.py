@@ -29,6 +29,7 @@ HELPERS = Path(__file__).resolve().parents[1] / "helpers"
 PATIENCE = 120  # s, after which the test fails instead of hanging
 NODES = """
 period = 0.001
+status = "ns=2;s=watch"
 max_lag = inf
 retry = 0.01
 uncertain = "missing"
@@ -171,6 +172,7 @@ def test_without_readings_the_verdict_is_no_verdict_and_numbers_are_of_bad_quali
         written["verdict"] == "no verdict: no sensor has a reading; isolated before: l1" and written["l1.verdict"] == "missing"
     )
     assert written["alarm"] is None and written["l1.sigma"] is not None
+    assert written["watch"] == "no verdict: no sensor has a reading"
 
 
 def test_times_of_a_plant_of_fixed_steps_are_put_on_its_grid(tmp_path: Path) -> None:
