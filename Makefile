@@ -17,7 +17,7 @@ BENCH_ARGS ?=
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: env demo test test-long test-kernels check lint format notebooks docs links bench wheel clean
+.PHONY: env demo test test-long test-kernels test-lowest check lint format notebooks docs links bench wheel clean
 
 env: $(DEV)
 
@@ -51,6 +51,20 @@ test-long: $(DEV)
 test-kernels: $(DEV)
 	$(BIN)/python tests/helpers/kernels.py -n $(WORKERS)
 
+# the lowest versions of all requirements that pyproject.toml allows, in an environment of their own; versions of that time may
+# call what their own requirements have deprecated since
+LOWEST := .venv-lowest
+LOWEST_TESTS ?= tests/core tests/data_driven tests/evaluation tests/live tests/logs tests/report
+
+$(LOWEST)/.made: pyproject.toml $(DEV)
+	rm -rf $(LOWEST)
+	$(BIN)/uv venv --quiet --python $(BIN)/python $(LOWEST)
+	$(BIN)/uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct -e '.[lowest]'
+	@touch $@
+
+test-lowest: $(LOWEST)/.made
+	$(LOWEST)/bin/python -m pytest -n $(WORKERS) --dist worksteal -p no:cacheprovider -W ignore::DeprecationWarning $(LOWEST_TESTS)
+
 lint: $(DEV)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -82,5 +96,5 @@ wheel: $(DEV)
 	$(BIN)/python -m build
 
 clean:
-	rm -rf .venv build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv .venv-lowest build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
