@@ -99,6 +99,8 @@ class TextRows:
         line = line.lstrip("\ufeff")
         if self.lines <= self.log_map.preamble or not line.strip():
             return None
+        if self.log_map.comment and line.lstrip().startswith(self.log_map.comment):
+            return None
         if self.reader is None and self.header is None and line.lstrip().startswith("{"):
             self.reader = self._reader(list(_object(line)))
         if self.header is None and self.reader is not None:

@@ -71,7 +71,8 @@ def read_text(where: str, data: bytes, log_map: LogMap) -> Cells:
             if lines[k].lstrip().startswith(header.comment):
                 lines[k], comments = "\n", comments + 1
     if comments:
-        text = f"{counted(comments, 'line')} that begin with {header.comment!r} taken as comments"
+        begin = "begins" if comments == 1 else "begin"
+        text = f"{counted(comments, 'line')} that {begin} with {header.comment!r} taken as comments"
         findings.append(Finding("file", "", comments, text))
     rows, unreadable, torn = split_rows(where, lines, header)
     if torn and len(rows) > 1:

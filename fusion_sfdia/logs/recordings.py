@@ -34,7 +34,6 @@ def read_channels(where: str, file: IO[bytes], kind: str, log_map: LogMap) -> li
     """Return the channels of a TDMS or MDF file. MissingPackageError, ValueError for a damaged file."""
     package, extra, read = ("npTDMS", "tdms", _of_tdms) if kind == TDMS else ("asammdf", "mdf", _of_mdf)
     try:
-        logging.getLogger(package.casefold()).setLevel(logging.CRITICAL)  # what it warns of ends in an error here
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             return read(file, log_map)
@@ -43,8 +42,9 @@ def read_channels(where: str, file: IO[bytes], kind: str, log_map: LogMap) -> li
             f"{where}: a {kind} file needs {package}, which is not installed; install fusion-sfdia[{extra}], or export as CSV"
         ) from error
     except Exception as error:  # both raise errors of many kinds for files that are damaged
+        one = f"{'a' if kind == TDMS else 'an'} {kind} file"
         raise ValueError(
-            f"{where} is a {kind} file that {package} does not read ({shown(str(error))}); copy it again, or export as CSV"
+            f"{where} is {one} that {package} does not read ({shown(str(error))}); copy it again, or export as CSV"
         ) from error
 
 
@@ -56,7 +56,7 @@ def by_time(where: str, channels: list[Channel], log_map: LogMap) -> tuple[list[
     timeless = [c.name for c in channels if not c.times.size]
     channels = [c for c in channels if c.times.size]
     if not channels:
-        raise ValueError(f"{where} has no channel with times; export it as CSV with a column of times")
+        raise ValueError(f"{where} is a recording without a channel with times; export it as CSV with a column of times")
     stamped = {c.times.dtype.kind == "M" for c in channels}
     if len(stamped) > 1:
         raise ValueError(f"{where}: some channels have stamps and others seconds as times; export those of one kind")
@@ -83,7 +83,7 @@ def by_time(where: str, channels: list[Channel], log_map: LogMap) -> tuple[list[
     if timeless:
         findings.append(Finding("ignored", "", len(timeless), f"no times of the channels {some(timeless)}: not used"))
     if len(tracks) > 1:
-        text = f"the channels have {len(tracks)} tracks of times: a row for each time of any, in which the others are missing"
+        text = f"the channels have {len(tracks)} tracks of times: rows of the times of any; step in a map makes them common"
         findings.append(Finding("file", "", len(tracks), text))
     titles = [c.name if names[c.name] == 1 else f"{c.group}/{c.name}" for c in channels]
     return [log_map.time[0], *titles], columns, ["", *(c.unit for c in channels)], findings
@@ -92,7 +92,9 @@ def by_time(where: str, channels: list[Channel], log_map: LogMap) -> tuple[list[
 def _of_tdms(file: IO[bytes], log_map: LogMap) -> list[Channel]:
     """Channels with a waveform's start and increment, or beside a channel of times in their group."""
     from nptdms import TdmsFile
+    from nptdms.log import log_manager
 
+    log_manager.set_level(logging.CRITICAL)  # what it warns of ends in an error here
     found = []
     for group in TdmsFile.read(file).groups():
         channels = {c.name: c for c in group.channels() if len(c)}

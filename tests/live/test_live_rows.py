@@ -171,3 +171,11 @@ def test_of_a_line_that_is_too_long_nothing_is_taken_as_a_row(longest: int) -> N
     found = list(lines(io.BytesIO(b"".join(given)), longest))
     assert found == [given[0], None, given[2], given[3], None, given[5]]
     assert list(lines(io.BytesIO(b"1\n" + b"2" * 5000), longest)) == [b"1\n", None if longest < 5000 else b"2" * 5000]
+
+
+def test_comment_lines_are_no_rows() -> None:
+    plant = tanks()
+    rows = TextRows(plant, LogMap(comment="%", inputs="until the sample"), nominal_inputs=True)
+    assert rows.row("time,l1,l2,q12,q2\n") is None and rows.row("  % restarted, 3\n") is None
+    found = rows.row("1,1,1,1,1\n")
+    assert found is not None and found[0] == 1.0

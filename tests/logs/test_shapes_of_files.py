@@ -203,7 +203,7 @@ def test_comments_and_blanks_as_a_map_states_them(tmp_path: Path) -> None:
     rows = [*ROWS[:9], "% pump on", *ROWS[9:]]
     found = load(tmp_path, lines(rows), LogMap(comment="%", inputs="until the sample"))
     holds(found)
-    assert "1 line that begin with '%' taken as comments" in texts(found, "file")
+    assert "1 line that begins with '%' taken as comments" in texts(found, "file")
     found = load(tmp_path, lines().replace(",", "   "), LogMap(separator=" ", inputs="until the sample"))
     holds(found)
 
@@ -347,7 +347,7 @@ def test_mdf(tmp_path: Path) -> None:
         np.testing.assert_array_equal(found.log.t, T)
         assert "the channels have 2 tracks of times" in texts(found, "file")
     path.write_bytes(b"MDF     4.10    asammdf " + bytes(range(256)))
-    with pytest.raises(ValueError, match=r"log.mf4 is a MDF file that asammdf does not read"):
+    with pytest.raises(ValueError, match=r"log.mf4 is an MDF file that asammdf does not read"):
         load_log(path, PLANT)
 
 
@@ -371,3 +371,14 @@ def test_last_numbers_that_a_line_end_cuts_off(tmp_path: Path, column: list[str]
     for number in ("", "999", "6998") if column[0].isdigit() else ("", column[0], "-" + column[0]):
         assert _cut_numbers([*column[:9], number, *column[9:]]) == []
     assert _cut_numbers(["0.5"] * 30 + ["0"] + ["0.5"] * 9) == []
+
+
+def test_channels_of_several_rates_in_common_rows(tmp_path: Path) -> None:
+    asammdf = pytest.importorskip("asammdf", reason="the extra mdf is not installed")
+    with asammdf.MDF(version="4.10") as mdf:
+        mdf.append([asammdf.Signal(VALUES[:, i], T, name=NAMES[i]) for i in range(3)])
+        mdf.append([asammdf.Signal(np.repeat(VALUES[:, 3], 6), 10.0 * np.arange(6 * K), name="feed")])
+        saved = mdf.save(tmp_path / "log.mf4")
+    found = load_log(saved, PLANT, LogMap(step=60))
+    np.testing.assert_array_equal(found.log.y[:K], VALUES[:, :3])
+    assert "step in a map" in texts(found, "file")
