@@ -47,7 +47,8 @@ def _init(chosen: argparse.Namespace) -> int:
     for path, text in zip(written, texts, strict=True):
         with atomic_write(path) as file:
             file.write(text)
-    print(f"{', '.join(map(str, written))}: {len(draft.columns)} of {len(draft.columns) + len(draft.unused)} columns are used")
+    count = len(draft.columns) + len(draft.inputs) + len(draft.unused)
+    print(f"{', '.join(map(str, written))}: {len(draft.columns)} of {count} columns are used")
     for key in draft.unsure:
         print(f"  {key}: {draft.notes[key]}")
     for option, why in draft.options.items():

@@ -6,7 +6,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -44,16 +44,23 @@ NUMBER = re.compile(r"[+-]?(?:\d[\d.,' \u00a0\u202f\u2019]*|[.,]\d+)(?:[eE][+-]?
 BLANK = "[ \u00a0\u2009\u202f]"
 SHOWN = 1000  # rows by which the form of numbers is told
 STILL = 0.9  # share of the rows without a change, of a tag that is no sensor's
+OFF = re.compile(r"off|0|false|no|closed|stop(?:ped)?|aus|zu|idle|inactive|disabled", re.I)  # the state that comes first, as 0
+STATES = 6  # texts of a column of states, at most
+KINDS_BAD = 12  # texts among the numbers of a column, at most
 MOST_BAD = 0.5  # share of a column's cells that are no numbers, above which it is a column of texts
 
 
 class Tag(NamedTuple):
-    """A column, or tag of a long table, of numbers: its title, name, unit, and readings (K,) in the order of the rows."""
+    """A column, or tag of a long table, of numbers: its title, name, unit, and readings (K,) in the order of the rows.
+
+    in_cells: whether the unit stands behind each number, so that a map need not state it.
+    """
 
     title: str
     name: str
     unit: str
     values: Array
+    in_cells: bool = False
 
 
 @dataclass
@@ -91,7 +98,10 @@ class Draft:
         lines += [_line(f"# {option}", why) for option, why in self.options.items()]
         lines += ["", "[columns]"]
         for title, column in (self.columns | self.inputs).items():
-            given = {"input" if column.input else "sensor": column.name} | ({"unit": column.unit} if column.unit else {})
+            given: dict[str, Any] = {"input" if column.input else "sensor": column.name} | (
+                {"unit": column.unit} if column.unit else {}
+            )
+            given |= {"states": dict(column.states)} if column.states else {}
             table = ", ".join(f"{k} = {_toml(v)}" for k, v in given.items())
             comment = "# " if title in self.inputs else ""
             lines.append(_line(f"{comment}{_toml(title)} = {{ {table} }}", self.notes.get(title, "")))
@@ -121,7 +131,7 @@ def draft_map(source: str | Path, plant: Plant | None = None) -> Draft:
         if match.column is None:
             draft.unused[tag.title] = match.note
         else:
-            draft.columns[tag.title] = match.column
+            draft.columns[tag.title] = replace(match.column, unit="") if tag.in_cells else match.column
             draft.notes |= {tag.title: match.note} if match.note else {}
     return draft
 
@@ -133,10 +143,10 @@ def _add_all(draft: Draft) -> None:
     for tag in draft.tags:
         names.append(_unique(re.sub(r"\W+", "_", tag.name).strip("_") or "sensor", [*names, "time"]))
         if tag.title in still and len(still) < len(draft.tags):
-            draft.inputs[tag.title] = Column(input=names[-1], unit=tag.unit)
+            draft.inputs[tag.title] = Column(input=names[-1], unit="" if tag.in_cells else tag.unit)
             draft.notes[tag.title] = f"unsure: {still[tag.title]}; an input, or a sensor after all"
         else:
-            draft.columns[tag.title] = Column(names[-1], unit=tag.unit)
+            draft.columns[tag.title] = Column(names[-1], unit="" if tag.in_cells else tag.unit)
 
 
 def _is_still(values: Array) -> str:
@@ -261,7 +271,7 @@ def _add_long(table: Table, draft: Draft, numbers: Numbers, others: Sequence[str
     if not 2 <= len(others) <= 4:
         return False
     columns = {title: _numbers(table.column(title), numbers) for title in others}
-    values = [title for title, (_, bad) in columns.items() if bad is not None]
+    values = [title for title, read in columns.items() if read.bad is not None]
     texts = [title for title in others if title not in values and not QUALITY.fullmatch(f"x {title}")]
     value = next((title for title in values if VALUE_TITLE.search(title)), values[0] if len(values) == 1 else "")
     tag = next((title for title in texts if TAG_TITLE.search(title)), texts[0] if len(texts) == 1 else "")
@@ -271,12 +281,12 @@ def _add_long(table: Table, draft: Draft, numbers: Numbers, others: Sequence[str
     if not TAG_TITLE.search(tag) and not 1 < len({*tags}) <= len(tags) / 3:
         return False
     draft.settings |= {"tag": tag, "value": value}
-    found, bad = columns[value]
+    found, bad, unit_in_cells = columns[value]
     _add_bad(draft, bad or Counter())
     for name in dict.fromkeys(tags):
         if len(of_tag := found[tags == name]):
             plain, unit = _name_and_unit(name, "")
-            draft.tags.append(Tag(name, plain, unit, of_tag))
+            draft.tags.append(Tag(name, plain, unit or unit_in_cells, of_tag, not unit and bool(unit_in_cells)))
     for title in others:
         if title not in (tag, value) and (good := _good_of(table.column(title))) is not None:
             draft.settings["quality"] = title
@@ -301,30 +311,51 @@ def _add_wide(table: Table, draft: Draft, numbers: Numbers, others: Sequence[str
     for title in others:
         if title in qualities:
             continue
-        values, bad = _numbers(table.column(title), numbers)
-        if bad is not None and np.isfinite(values).any():
+        values, bad, in_cells = _numbers(table.column(title), numbers)
+        if bad is not None:
             _add_bad(draft, bad + _sentinels(values))
-            draft.tags.append(Tag(title, *_name_and_unit(title, units[title]), _without(values, draft)))
+            name, unit = _name_and_unit(title, units[title])
+            draft.tags.append(Tag(title, name, unit or in_cells, _without(values, draft), not unit and bool(in_cells)))
         else:
-            texts = Counter(str(c).strip() for c in table.column(title) if str(c).strip())
-            few = f"texts {some(list(texts))}" if len(texts) <= 8 else "texts"
-            draft.unused[title] = few if texts else "no values"
+            _add_states(draft, title, list(table.column(title)))
 
 
-def _numbers(cells: Any, numbers: Numbers) -> tuple[Array, Counter[str] | None]:
-    """The numbers (K,) of a column, NaN for other cells, which are counted; None for them where they are too many."""
+def _add_states(draft: Draft, title: str, cells: Sequence[Any]) -> None:
+    """A column of texts: where these are few, an input with a number for each, as a comment."""
+    texts = sorted({text for cell in cells if (text := str(cell).strip())}, key=lambda text: (not OFF.fullmatch(text), text))
+    if not 2 <= len(texts) <= STATES:
+        draft.unused[title] = f"texts {some(texts)}" if texts else "no values"
+        return
+    name = re.sub(r"\W+", "_", split_title(title)[0]).strip("_") or "input"
+    draft.inputs[title] = Column(input=name, states={text: float(k) for k, text in enumerate(texts)})
+    draft.notes[title] = "unsure: texts; where it is an input, with a number for each"
+
+
+class _Read(NamedTuple):
+    """A column as numbers (K,), NaN for other cells, which `bad` counts, None where they are too many; and the unit in cells."""
+
+    values: Array
+    bad: Counter[str] | None
+    unit: str = ""
+
+
+def _numbers(cells: Any, numbers: Numbers) -> _Read:
+    """A column as numbers, as far as it is one."""
+    units = Counter[str]()
     try:
-        return numbers.column(cells)[0], Counter()
+        values, _, found = numbers.quantities(cells)
+        units.update({unit: len(positions) for unit, positions in found.items()})
+        bad = Counter[str]()
     except ValueError:
-        pass
-    values, bad = np.full(len(cells), np.nan), Counter[str]()
-    for k, cell in enumerate(cells):
-        try:
-            values[k] = numbers.cell(cell)
-        except (ValueError, TypeError, OverflowError):
-            bad[str(cell).strip()] += 1
-    few = bad.total() <= MOST_BAD * len(values) and len(bad) <= 12
-    return values, bad if few and np.isfinite(values).any() else None
+        values, bad = np.full(len(cells), np.nan), Counter()
+        for k, cell in enumerate(cells):
+            try:
+                values[k], unit = numbers.quantity(cell)
+                units.update([unit] if unit else [])
+            except (ValueError, TypeError, OverflowError):
+                bad[str(cell).strip()] += 1
+    few = bad.total() <= MOST_BAD * len(values) and len(bad) <= KINDS_BAD and np.isfinite(values).any()
+    return _Read(values, bad if few else None, units.most_common(1)[0][0] if units else "")
 
 
 def _sentinels(values: Array) -> Counter[str]:
@@ -400,6 +431,8 @@ def _toml(value: Any) -> str:
     """A value in TOML."""
     if isinstance(value, list):
         return _toml(value[0]) if len(value) == 1 else f"[{', '.join(map(_toml, value))}]"
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{_toml(k)} = {_toml(v)}' for k, v in value.items())} }}"
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     return json.dumps(value)

@@ -106,6 +106,22 @@ def test_excel_and_packed_files_and_those_of_a_logger_are_drafted(tmp_path: Path
         assert np.allclose(found.log.y, values[:, :4]), name
 
 
+def test_units_in_the_cells_and_columns_of_states(tmp_path: Path) -> None:
+    flow, speed = (np.round(m + np.sin(np.arange(60.0)), 2) for m in (30.0, 1500.0))
+    rows = [
+        f"2025-01-01 00:{k:02d}:00,{flow[k]} m3/h,{speed[k]} rpm,{'Running' if k // 20 % 2 else 'Stopped'}" for k in range(60)
+    ]
+    (tmp_path / "log.csv").write_text("\n".join(["time,flow,speed,pump", *rows]) + "\n")
+    assert main(["init", "--data", str(tmp_path / "log.csv"), "--out", str(tmp_path)]) == 0
+    plant = registered(f"{tmp_path / 'plant.py'}:make")
+    assert [(s.name, s.unit) for s in plant.sensors] == [("flow", "m3/h"), ("speed", "rpm")]
+    assert np.array_equal(load_log(tmp_path / "log.csv", plant, tmp_path / "map.toml").log.y, np.column_stack([flow, speed]))
+    line = '# "pump" = { input = "pump", states = { "Stopped" = 0.0, "Running" = 1.0 } }  # unsure: '
+    text = (tmp_path / "map.toml").read_text()
+    assert line in text
+    tomllib.loads(text.replace('# "pump"', '"pump"'))
+
+
 def test_what_a_draft_cannot_settle_is_printed_and_stated_in_the_map(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
