@@ -332,7 +332,7 @@ def _add_states(draft: Draft, title: str, cells: Sequence[Any]) -> None:
 
 
 class _Read(NamedTuple):
-    """A column as numbers (K,), NaN for other cells, which `bad` counts, None where they are too many; and the unit in cells."""
+    """A column as numbers (K,), NaN for other cells, which `bad` counts, None where too many; and the unit in cells."""
 
     values: Array
     bad: Counter[str] | None

@@ -6,7 +6,7 @@ import codecs
 import math
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from datetime import timedelta, timezone, tzinfo
 from difflib import get_close_matches
@@ -17,10 +17,12 @@ from zoneinfo import ZoneInfo
 from fusion_sfdia.core.arguments import number, shown, whole
 from fusion_sfdia.core.numerals import code
 from fusion_sfdia.logs.epochs import NAMES, SECONDS, count_of
+from fusion_sfdia.logs.problems import Problems
 
 AT_THE_SAMPLE, UNTIL_THE_SAMPLE = "at the sample", "until the sample"
 SPREAD = "spread"
 OPC_DA, OPC_UA = "opc-da", "opc-ua"
+TOGETHER = ({"decimal", "thousands"}, {"tag", "value", "quality"})  # keys that are right only beside each other
 MASK = re.compile(r"(.+?)\s*(<=|>=|==|!=|<|>)\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)", re.ASCII)
 CHOICES = {
     "duplicates": ("refuse", "first", "last", "mean", SPREAD),
@@ -194,29 +196,44 @@ class LogMap:
 def load_map(path: str | Path) -> LogMap:
     """Return the LogMap of a file in TOML, with the tables [log] and [columns].
 
-    ValueError that names the file and the key for anything that LogMap and Column do not take.
+    LogError, a ValueError, that names the file and all keys that LogMap and Column do not take.
     """
     try:
         found = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path} is not TOML ({error}); expected the tables [log] and [columns]") from error
+    problems = Problems(str(path))
+    tables = _known(problems, "", found, ("log", "columns"), tables=True)
+    columns = {}
+    for title, what in tables.get("columns", {}).items():
+        where = f"column {title!r}: "
+        if not isinstance(what, dict):
+            problems.add("map", f'{where}{shown(what)}; expected a table, as in {{ sensor = "TT101", unit = "degC" }}')
+            continue
+        given = _known(problems, where, what, [f.name for f in fields(Column)])
+        try:
+            columns[title] = Column(**given)
+        except ValueError as error:
+            problems.add("map", f"{where}{error}")
+    given = _known(problems, "[log] ", tables.get("log", {}), [f.name for f in fields(LogMap) if f.name != "columns"])
     try:
-        _require_keys("", found, ("log", "columns"), tables=True)
-        columns = {}
-        for title, what in found.get("columns", {}).items():
-            where = f"column {title!r}: "
-            if not isinstance(what, dict):
-                raise ValueError(f'{where}{shown(what)}; expected a table, as in {{ sensor = "TT101", unit = "degC" }}')
-            _require_keys(where, what, [f.name for f in fields(Column)])
-            try:
-                columns[title] = Column(**what)
-            except ValueError as error:
-                raise ValueError(f"{where}{error}") from error
-        given = found.get("log", {})
-        _require_keys("[log] ", given, [f.name for f in fields(LogMap) if f.name != "columns"])
-        return LogMap(**given, columns=columns)
+        made = LogMap(**given, columns=columns)
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+        groups = [{key} for key in given if not any(key in together for together in TOGETHER)]
+        alone = [text for keys in (*TOGETHER, *groups) if (text := _refusal({k: given[k] for k in given if k in keys}))]
+        for text in alone or [str(error)]:
+            problems.add("map", text)
+    problems.require_none()
+    return made
+
+
+def _refusal(given: Mapping[str, Any]) -> str:
+    """What is wrong with some keys of [log], "" for nothing."""
+    try:
+        LogMap(**given)
+    except ValueError as error:
+        return str(error)
+    return ""
 
 
 def zone(name: str) -> tzinfo | None:
@@ -233,14 +250,21 @@ def zone(name: str) -> tzinfo | None:
         ) from error
 
 
-def _require_keys(where: str, found: Mapping[str, Any], known: Any, *, tables: bool = False) -> None:
+def _known(
+    problems: Problems, where: str, found: Mapping[str, Any], known: Sequence[str], *, tables: bool = False
+) -> dict[str, Any]:
+    """The known keys of a table; others are added to problems, and with `tables` those that are none."""
+    kept = {}
     for key, value in found.items():
         if key not in known:
             near = get_close_matches(key, known, n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
-            raise ValueError(f"{where}unknown key {shown(key)}; {hint}")
-        if tables and not isinstance(value, dict):
-            raise ValueError(f"{key} is {shown(value)}; expected a table [{key}]")
+            problems.add("map", f"{where}unknown key {shown(key)}; {hint}")
+        elif tables and not isinstance(value, dict):
+            problems.add("map", f"{key} is {shown(value)}; expected a table [{key}]")
+        else:
+            kept[key] = value
+    return kept
 
 
 def _require_texts(where: str, owner: object, names: tuple[str, ...]) -> None:

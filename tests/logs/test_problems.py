@@ -14,7 +14,7 @@ from fusion_sfdia.cli.main import main
 from fusion_sfdia.core.linear import linear_plant
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
-from fusion_sfdia.logs.log_map import Column, LogMap
+from fusion_sfdia.logs.log_map import Column, LogMap, load_map
 from fusion_sfdia.logs.problems import LogError, Problem, Problems
 from fusion_sfdia.logs.reading import load_log
 
@@ -159,6 +159,28 @@ def test_cells_of_columns_that_are_probably_meant_are_looked_at(tmp_path: Path) 
     found = refused(tmp_path, lines, LogMap(columns=columns))
     assert [(p.kind, p.row, p.column) for p in found] == [("columns", 0, ""), ("cells", 5, "presure")]
     assert "did you mean 'presure' for 'pressure'" in str(found[0])
+
+
+def test_all_problems_of_a_map_are_stated_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "map.toml"
+    path.write_text(
+        '[log]\ntme = "t"\nseparator = "::"\ntz = "Mars/Olympus"\ndecimal = ","\nthousands = "."\ntag = "Tag"\n'
+        'value = "Value"\nquality = "Q"\n[columns]\na = { sensr = "x", sensor = "y" }\nb = { sensor = "x", scale = 0 }\nc = 1\n'
+        "[extra]\n"
+    )
+    with pytest.raises(LogError) as caught:
+        load_map(path)
+    texts = [p.text for p in caught.value.problems]
+    assert [t.partition(";")[0][:24] for t in texts] == [
+        "unknown key 'extra'", "column 'a': unknown key ", "column 'b': scale is 0", "column 'c': 1", "[log] unknown key 'tme'",
+        "separator is '::'", "tz is 'Mars/Olympus'",
+    ]  # fmt: skip
+    path.write_text('[log]\nthousands = "."\n')
+    with pytest.raises(LogError, match=r"map.toml: decimal and thousands are both '.'; give each its own"):
+        load_map(path)
+    path.write_text('[log]\n[columns]\na = { sensor = "x" }\nb = { sensor = "x" }\n')
+    with pytest.raises(LogError, match="the columns 'a' and 'b' are both 'x'"):
+        load_map(path)
 
 
 def test_a_long_table_states_columns_and_tags_together(tmp_path: Path) -> None:
