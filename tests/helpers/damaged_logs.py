@@ -52,7 +52,7 @@ def damaged(seed: int) -> tuple[bytes, str]:
         elif kind == 4:
             lines[k] = lines[k].replace(",", rng.choice(";\t|"))
         elif kind == 5:
-            at, long = rng.randrange(len(lines[k])), rng.randrange(1, 20)
+            at, long = rng.randrange(max(len(lines[k]), 1)), rng.randrange(1, 20)
             lines[k] = lines[k][:at] + "\0" * long + lines[k][at + long :]
         elif kind == 6:
             lines[k] = lines[k][: rng.randrange(1, max(len(lines[k]), 2))]
