@@ -17,6 +17,7 @@ from fusion_sfdia.logs.columns import Source
 from fusion_sfdia.logs.findings import Finding, counted
 from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.logs.numbers import TRUTH, NotANumberError, Numbers, Quantities, good_codes
+from fusion_sfdia.logs.problems import CountedError
 from fusion_sfdia.logs.tables import Table
 
 Array = NDArray[Any]
@@ -27,19 +28,11 @@ OFF = ("off", "false", "closed", "close", "no", "stopped", "stop", "disabled", "
 WORDS = 6  # that a message shows
 
 
-class CellError(ValueError):
-    """Cells that cannot be read; count: how many."""
-
-    def __init__(self, message: str, count: int) -> None:
-        super().__init__(message)
-        self.count = count
-
-
 def values_of(table: Table, c: Source, plant: Plant, findings: list[Finding]) -> tuple[Array, Source]:
     """The numbers (K,) of the column of a sensor or an input, and the source with the unit that they are in.
 
     The unit behind the numbers of the cells counts before that of title and map. Cells in several units of one dimension are
-    converted to the most frequent one. CellError for cells that are no numbers, and for a unit that does not fit the plant.
+    converted to the most frequent one. CountedError for cells that are no numbers, and for a unit that does not fit the plant.
     """
     try:
         found = c.numbers.quantities(table.column(c.title))
@@ -57,7 +50,7 @@ def values_of(table: Table, c: Source, plant: Plant, findings: list[Finding]) ->
             k = int(positions[0])
             cell = shown(list(table.column(c.title))[k])
             text = f"{table.text(k)}, column {c.title}: {cell}; expected a finite number, alone or with its unit: {error}"
-            raise CellError(text, positions.size) from error
+            raise CountedError(text, positions.size) from error
     bare = _without_unit(found)
     if bare.any() and not c.unit:
         raise _mixed(table, c.title, found, bare)
@@ -109,13 +102,13 @@ def _without_unit(found: Quantities) -> Array:
     return bare
 
 
-def _mixed(table: Table, title: str, found: Quantities, bare: Array) -> CellError:
+def _mixed(table: Table, title: str, found: Quantities, bare: Array) -> CountedError:
     """The error on numbers with and without a unit, or in several, in one column, at the first of the rarest kind."""
     kinds = {unit: positions for unit, positions in found.units.items()} | {"": np.flatnonzero(bare)}
     rare = min((unit for unit, positions in kinds.items() if positions.size), key=lambda unit: kinds[unit].size)
     k, others = int(kinds[rare][0]), [unit or "none" for unit, positions in kinds.items() if unit != rare and positions.size]
     stated = f"{shown(list(table.column(title))[k])} states {rare or 'no unit'}"
-    return CellError(
+    return CountedError(
         f"{table.text(k)}, column {title}: {stated}, where other cells state {', '.join(others)}; expected one unit: give that "
         "of numbers without one as unit in a map",
         kinds[rare].size,
@@ -159,7 +152,7 @@ class Quality(NamedTuple):
         if self.good and not any(self.good):
             good = self.log_map.good if isinstance(self.log_map.good, str) else [*self.log_map.good]
             stated = f"good = {json.dumps(good)}" if good else "texts that begin with Good"
-            raise CellError(
+            raise CountedError(
                 f"{where}: no value is of good quality by {stated}, the quality columns have {_listed(self.codes)}; state the "
                 "codes of good values as good in the map",
                 sum(self.codes.values()),
@@ -168,7 +161,7 @@ class Quality(NamedTuple):
 
 def _refused(
     table: Table, title: str, numbers: Numbers, error: NotANumberError, c: Source | None = None, plant: Plant | None = None
-) -> CellError:
+) -> CountedError:
     """The error on cells that are no numbers, with what occurs and what to state of it in a map."""
     cells = list(table.column(title))
     odd = [cell for cell in cells if not _is_number(numbers, cell)]
@@ -192,7 +185,7 @@ def _refused(
             cure = f"state numbers for its states in a map, as in {line} with yours in {c.unit or c.wanted}"
             cure += "" if alone else f", or {bad} and hold where they mark a missing value"
     occurring = f"; of such cells there are {_listed(texts)}" if len(odd) > 1 else ""
-    return CellError(
+    return CountedError(
         f"{table.text(error.position)}, column {title}: {shown(error.cell)}; expected {expected}{occurring}"
         f"{'; ' if cure else ''}{cure}",
         len(odd),

@@ -76,3 +76,8 @@ class LoadedLog(NamedTuple):
 def counted(count: int, what: str) -> str:
     """A number of things, as in 1 row, 3 rows."""
     return f"{count} {what}{'s' * (count != 1)}"
+
+
+def others(count: int) -> str:
+    """Behind the first of so many: in how many other rows it is."""
+    return f" (and in {counted(count - 1, 'other row')})" if count > 1 else ""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.logs.columns import Source, split_title
-from fusion_sfdia.logs.findings import Finding, counted
+from fusion_sfdia.logs.findings import Finding, counted, others
 from fusion_sfdia.logs.log_map import AT_THE_SAMPLE, LogMap
 from fusion_sfdia.logs.mix_ups import input_mix_up
 from fusion_sfdia.logs.order import Rows
@@ -64,11 +64,6 @@ def require_known(problems: Problems, rows: Rows, c: Source, u: Array, plant: Pl
         limits = f"plant {plant.name!r} holds from {signal.low:g} to {signal.high:g} {signal.unit}"
         text = f"{values[k]:g} {signal.unit}{others(count)}; {limits}; correct the input or convert its unit{hint}"
         problems.add("inputs", text, row=int(own[k]), column=split_title(c.title)[0], count=count)
-
-
-def others(count: int) -> str:
-    """Behind the first of so many: in how many other rows it is."""
-    return f" (and in {counted(count - 1, 'other row')})" if count > 1 else ""
 
 
 def timing(at_the_sample: bool) -> Finding:

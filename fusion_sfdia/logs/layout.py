@@ -152,7 +152,8 @@ def _of_tags(
         if log_map.duplicates in ("refuse", SPREAD):
             k = int(duplicated.argmax())
             with problems.collecting("order"):
-                raise twice(table.text(k), " ".join(log_map.time), times.clock, float(t[k]), of=f" of {names[codes[k]]}")
+                count, of_tag = int(duplicated.sum()), f" of {names[codes[k]]}"
+                raise twice(table.text(k), " ".join(log_map.time), times.clock, float(t[k]), count, of=of_tag)
         else:
             findings.append(dropped(int(duplicated.sum()), log_map))
     if duplicated.any():

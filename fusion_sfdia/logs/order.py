@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.clock import Clock
-from fusion_sfdia.logs.findings import Finding, counted
+from fusion_sfdia.logs.findings import Finding, counted, others
 from fusion_sfdia.logs.log_map import SPREAD, LogMap
-from fusion_sfdia.logs.problems import Problems
+from fusion_sfdia.logs.problems import CountedError, Problems
 
 Array = NDArray[Any]
 
@@ -47,11 +47,11 @@ def in_order(where: str, rows: Rows, clock: Clock, log_map: LogMap, findings: li
             return _one_of_each_time(rows.kept(np.argsort(rows.t, kind="stable")), "first")
         if log_map.order == "refuse":
             k = int(back[0]) + 1
-            with problems.collecting("order"):
-                raise ValueError(
-                    f"{where}, row {rows.rows[k]}, column {column}: {_at(clock, rows.t[k])} after "
-                    f'{_at(clock, rows.t[k - 1])}; times must increase: sort the rows, or state order = "sort" in a map'
-                )
+            text = (
+                f"{_at(clock, rows.t[k])} after {_at(clock, rows.t[k - 1])}{others(back.size)}; times must increase: sort the "
+                'rows, or state order = "sort" in a map'
+            )
+            problems.add("order", text, row=int(rows.rows[k]), column=column, count=back.size)
         newest = back.size == np.count_nonzero(np.diff(rows.t)) and back.size > 1
         rows = rows.kept(np.argsort(rows.t, kind="stable"))
         text = "rows sorted by time" + (": the newest came first" if newest else f", {back.size} came after a later one")
@@ -66,7 +66,7 @@ def in_order(where: str, rows: Rows, clock: Clock, log_map: LogMap, findings: li
         if log_map.duplicates == "refuse":
             k = int(again[0])
             with problems.collecting("order"):
-                raise twice(f"{where}, row {rows.rows[k]}", column, clock, float(rows.t[k]), rows.rows[k - 1])
+                raise twice(f"{where}, row {rows.rows[k]}", column, clock, float(rows.t[k]), again.size, rows.rows[k - 1])
         else:
             findings.append(dropped(again.size, log_map))
         rows = _one_of_each_time(rows, log_map.duplicates if log_map.duplicates in ("first", "last", "mean") else "first")
@@ -189,15 +189,16 @@ def _same_rows(rows: Rows, before: Array, after: Array) -> bool:
     return all(np.array_equal(v[before[a]], v[after[b]], equal_nan=True) for v in rows.values.values())
 
 
-def twice(row: str, column: str, clock: Clock, t: float, other: int | None = None, of: str = "") -> ValueError:
-    """The error on a second value at one time, and in a long format of one tag."""
+def twice(row: str, column: str, clock: Clock, t: float, count: int, other: int | None = None, of: str = "") -> CountedError:
+    """The error on a second value at one time, the first of so many, and in a long format of one tag."""
     before = "" if other is None else f", as in row {other}"
     local = None if clock.start is None or clock.start.tzinfo else clock.start + timedelta(seconds=t)
     places = [] if local is None else places_changing(local, back=True)
     zone = f'; or state tz = "{places[0]}" if this is the hour that comes twice there' if places else ""
-    return ValueError(
-        f"{row}, column {column}: {_at(clock, t)}{of} again{before}; times must increase: keep one row of each time, or state "
-        f'duplicates = "first", "last", "mean" or "spread", evenly until the next time, in a map{zone}'
+    return CountedError(
+        f"{row}, column {column}: {_at(clock, t)}{of} again{before}{others(count)}; times must increase: keep one row of each "
+        f'time, or state duplicates = "first", "last", "mean" or "spread", evenly until the next time, in a map{zone}',
+        count,
     )
 
 

@@ -13,6 +13,14 @@ EXAMPLE = re.compile(r"\([^()]*\)|\d")  # in a cure: of one column alone
 PLACE = re.compile(r"(?:, row (\d+))?(?:, column (.+?))?: (.*)", re.DOTALL)
 
 
+class CountedError(ValueError):
+    """An error on rows or cells; count: how many have it."""
+
+    def __init__(self, message: str, count: int) -> None:
+        super().__init__(message)
+        self.count = count
+
+
 @dataclass(frozen=True)
 class Problem:
     """One problem: its kind, the file, the row (0: none) and the column ("": none) where it stands, what came, and the cure.
@@ -42,7 +50,7 @@ class Problem:
             else:
                 row, column, message = int(place[1] or 0), place[2] or "", place[3]
         text, _, cure = message.partition("; ")
-        return cls(kind, where, row, column, getattr(error, "count", 1), text, cure)
+        return cls(kind, where, row, column, error.count if isinstance(error, CountedError) else 1, text, cure)
 
     @property
     def message(self) -> str:

@@ -58,7 +58,10 @@ def test_duplicates(tmp_path: Path, rule: str, expected: float) -> None:
     found = load(tmp_path, cells, duplicates=rule)
     assert found.log.t.tolist() == T.tolist() and found.log.y[2, 0] == expected
     assert words(found, "duplicates")[0].startswith("2 duplicates ")
-    with pytest.raises(ValueError, match=r"row 5, column time: 15\.0 s again, as in row 4; .* keep one row of each time, or"):
+    with pytest.raises(
+        ValueError,
+        match=r"row 5, column time: 15\.0 s again, as in row 4 \(and in 1 other row\); .* keep one row of each time, or",
+    ):
         load(tmp_path, cells)
 
 
@@ -66,7 +69,10 @@ def test_order(tmp_path: Path) -> None:
     found = load(tmp_path, rows()[::-1], order="sort")
     np.testing.assert_array_equal(found.log.y, Y)
     assert words(found, "order") == ["rows sorted by time: the newest came first"]
-    with pytest.raises(ValueError, match=r"row 3, column time: 35\.0 s after 40\.0 s; times must increase: sort the rows"):
+    with pytest.raises(
+        ValueError,
+        match=r"row 3, column time: 35\.0 s after 40\.0 s \(and in 6 other rows\); times must increase: sort the rows",
+    ):
         load(tmp_path, rows()[::-1], duplicates="last")
 
 
