@@ -40,7 +40,7 @@ def load_log(
 ) -> LoadedLog:
     """Read a log of a plant: its readings and inputs in the plant's units, its wall-clock start, and what was found and done.
 
-    source: a CSV file, a Parquet file (.parquet, .pq) or a pandas frame. log_map: a LogMap or its file; without one the
+    source: a pandas frame, or a file: CSV, Parquet, Arrow, Excel, TDMS, MDF. log_map: a LogMap or its file; without one the
     columns have the plant's names, with or without their unit in brackets, and inputs acted until their row, as `simulate`
     and `write_log` write them. Times are seconds, numbers since 1970 or ISO stamps; of the last two t begins at 0.
     absent_sensors: a sensor without a column is NaN throughout. other_columns: columns that are neither are ignored.
