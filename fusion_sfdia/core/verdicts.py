@@ -66,24 +66,25 @@ def far_off(decision: Decision) -> Array:
 
 def conclusion_of(decision: Decision, y: Array) -> Conclusion:
     """What the Decision of one sample of one run says; y (N,): its readings, NaN where missing."""
-    if not judged(decision):
+    known = np.isfinite(decision.residual) & ~np.isnan(decision.threshold)  # as in `judged`, here for many single samples
+    if decision.diverged or not known.any():
         return Conclusion(Verdict.BLIND, _why_blind(decision, y))
-    if far_off(decision):
+    alarm = bool(decision.alarm)
+    if alarm and far_off(decision):
         return Conclusion(Verdict.UNDECIDED, ALL_FAR)
     if np.any(decision.capped):
         return Conclusion(Verdict.UNDECIDED, TOO_MANY)
-    count = y.size
-    if (decision.process is not None and np.any(decision.process)) or np.any(decision.isolated[count:]):
+    if (decision.process is not None and decision.process.any()) or decision.isolated[y.size :].any():
         return Conclusion(Verdict.PROCESS)
-    if np.any(decision.isolated):
+    if decision.isolated.any():
         return Conclusion(Verdict.SENSOR)
-    if decision.suspect is not None and np.any(decision.suspect):
+    if decision.suspect is not None and decision.suspect.any():
         return Conclusion(Verdict.UNDECIDED, "several hypotheses explain an alarm")
     if np.any(decision.absurd_input):
         return Conclusion(Verdict.OUTSIDE, "an input is beyond the limits of its signal")
-    if undecidable(decision):
+    if np.isinf(decision.threshold[known]).all():
         return Conclusion(Verdict.UNDECIDED, NO_THRESHOLDS)
-    if decision.alarm:
+    if alarm:
         return Conclusion(Verdict.UNDECIDED, "an alarm, and nothing is isolated")
     return Conclusion(Verdict.HEALTHY)
 
