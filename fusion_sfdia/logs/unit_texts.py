@@ -160,6 +160,7 @@ QUALIFIED = re.compile(  # "%RH", "vol%", "ppmv": what the share is of does not 
 )
 ELECTRIC = re.compile(r"\b([pnumkM]?[VA])[\s_]*\(?(?i:ac|dc|rms)\)?(?![^\W_])")
 LOGARITHM = re.compile(r"dB(?:\(?[A-Za-z]{0,4}\)?)?|DB|db|Np|(?i:ph)|pKa", re.ASCII)
+LOGARITHMIC = ("decibel", "bel", "neper", "octave", "decade")  # units of pint
 GAUGE = re.compile(r"(.*?[^\s._(\[-])[\s._-]*[(\[]?(gauge|gage|g|absolute|abs|a|differential|diff|d)[)\]]?", re.I)
 TOKEN = re.compile(r"\s*(\d+(?:\.\d+)?|\*\*|[*/^()-]|[^\W\d]+|[°%‰])")
 
@@ -383,7 +384,7 @@ def _exact(name: str) -> tuple[str, ...]:
 def _of_pint(name: str) -> tuple[str, ...]:
     """A unit that pint knows by this name, without a prefix or with one in full."""
     for prefix, unit, suffix in registry().parse_unit_name(name):
-        if name.startswith(prefix) and not (suffix and len(name) < 4):
+        if name.startswith(prefix) and not (suffix and len(name) < 4) and not unit.startswith(LOGARITHMIC):
             return (f"{prefix}{unit}",)
     return ()
 

@@ -368,6 +368,13 @@ def test_any_text_converts_with_a_finite_factor_or_is_refused(parts: list[str], 
     assert math.isfinite(factor) and math.isfinite(offset)
 
 
+@pytest.mark.parametrize("unit", ["in2 decibel", "decibel", "neper/m", "decade", "m octaves"])
+def test_logarithms_of_pint_are_no_units_in_a_product_either(unit: str) -> None:
+    for target in ("m2", "1", "Nm3/h"):
+        with pytest.raises(ValueError, match="does not convert"):
+            conversion(unit, target)
+
+
 def test_a_long_text_is_no_unit() -> None:
     for text in ("C " * 29, "C " * 1000, "m" * 10**6, "(" * 50, "bar g " * 9):
         with pytest.raises(ValueError, match="it is no known unit"):
