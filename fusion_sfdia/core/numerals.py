@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import math
 import re
+from decimal import Decimal
+from numbers import Real
 from typing import Any
-
-import numpy as np
 
 TRUTH = {"true": "1", "false": "0"}
 
@@ -26,16 +26,14 @@ def integer(text: str) -> int:
 
 def real(cell: Any) -> float:
     """A number, also NumPy's and Decimal; ValueError for truth values, dates and others that float would take, too."""
-    if isinstance(cell, int | float | np.integer | np.floating) and not isinstance(cell, bool):
-        return float(cell)
-    if type(cell).__name__ == "Decimal":
+    if isinstance(cell, Real | Decimal) and not _is_truth(cell):
         return float(cell)
     raise ValueError("no number")
 
 
 def code(cell: Any) -> str:
     """A state or a code of quality as a text that all its forms share: true, "True" and 1; 4, 4.0, "4" and "0x4"."""
-    if isinstance(cell, bool | np.bool_):
+    if _is_truth(cell):
         return "1" if cell else "0"
     text = cell.strip().casefold() if isinstance(cell, str) else cell
     if isinstance(text, str) and text in TRUTH:
@@ -55,6 +53,11 @@ def number_of(cell: Any) -> float:
     except ValueError:
         return math.nan
     return value if math.isfinite(value) else math.nan
+
+
+def _is_truth(cell: Any) -> bool:
+    """Whether it is a truth value, Python's or NumPy's, whose class is called the same."""
+    return type(cell).__name__ == "bool"
 
 
 def _plain(text: str) -> str:
