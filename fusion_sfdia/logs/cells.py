@@ -22,6 +22,8 @@ from fusion_sfdia.logs.tables import Table
 
 Array = NDArray[Any]
 
+MOST_UNITS = 4  # in an error
+
 MARKS = ((",", ""), (",", "."), (",", " "), (",", "'"), (".", ","), (".", " "), (".", "'"))  # decimal and thousands
 ON = ("on", "true", "open", "opened", "yes", "running", "run", "enabled", "active", "high", "ein", "auf", "an", "marche")
 OFF = ("off", "false", "closed", "close", "no", "stopped", "stop", "disabled", "inactive", "low", "aus", "zu", "arret")
@@ -107,9 +109,10 @@ def _mixed(table: Table, title: str, found: Quantities, bare: Array) -> CountedE
     kinds = {unit: positions for unit, positions in found.units.items()} | {"": np.flatnonzero(bare)}
     rare = min((unit for unit, positions in kinds.items() if positions.size), key=lambda unit: kinds[unit].size)
     k, others = int(kinds[rare][0]), [unit or "none" for unit, positions in kinds.items() if unit != rare and positions.size]
+    listed = ", ".join(others[:MOST_UNITS]) + (f" and {len(others) - MOST_UNITS} more" if len(others) > MOST_UNITS else "")
     stated = f"{shown(list(table.column(title))[k])} states {rare or 'no unit'}"
     return CountedError(
-        f"{table.text(k)}, column {title}: {stated}, where other cells state {', '.join(others)}; expected one unit: give that "
+        f"{table.text(k)}, column {title}: {stated}, where other cells state {listed}; expected one unit: give that "
         "of numbers without one as unit in a map",
         kinds[rare].size,
     )

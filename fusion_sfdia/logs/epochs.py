@@ -31,6 +31,10 @@ WORDS |= {"nanosecond": "ns", "minute": "min", "hour": "h", "hr": "h", "day": "d
 EXCEL, UNIX = "excel", ("s", "ms", "us", "ns")
 NAMES = {EXCEL: "d since 1899-12-30", "labview": "s since 1904-01-01", "filetime": "100 ns since 1601-01-01"}
 NAMES |= {"ticks": "100 ns since 0001-01-01"}  # of .NET
+IN_WORDS = {
+    EXCEL: "days of Excel", "labview": "s since 1904, as LabVIEW counts them", "matlab": "days as MATLAB counts them",
+    "julian": "Julian days", "filetime": "FILETIME of Windows", "ticks": "ticks of .NET",
+}  # fmt: skip
 DAY_ZERO = {"matlab": -719529.0, "julian": -2440587.5}  # days from 1970-01-01 to day 0, of which no calendar has a date
 COUNT = re.compile(r"\s*(\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)?\s*([a-zµμ]+)\s+since\s+(\S.*?)\s*", re.I)
 YEARS = (6.3e8, 4.1e9)  # s since 1970: numbers of the years 1990 to 2099

@@ -14,6 +14,7 @@ from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.logs.epochs import (
     EXCEL,
+    IN_WORDS,
     AmbiguousTimesError,
     Calendar,
     Count,
@@ -268,7 +269,7 @@ def _of_numbers(
         k, form = int(np.argmax(outside)), f"a number of {count.name}, of a year from 1 to 9998"
         form = "days since 1900, as Excel has them" if count.name == EXCEL else form
         raise ValueError(f"{table.text(k)}, column {title}: {values[k]:g}; expected {form}")
-    name = "days of Excel" if count.name == EXCEL else count.name
+    name = IN_WORDS.get(count.name, count.name)
     found = _of_stamps(table, title, count.stamps(values), None if count.local else UTC, log_map, tags, name)
     return found._replace(numbers=values, taken=count.name, stated=bool(given))
 
