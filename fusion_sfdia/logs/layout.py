@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,23 +116,24 @@ def _by_own_times(
     unit = sources.time_unit or next((split_title(t)[1] for t in own.values()), "")
     times = times_of(below, below.titles, "" if log_map.format else unit, log_map, code_of, expected)
     numbers = np.concatenate([values[name][k] for name, k in zip(names, rows, strict=True)])
-    return _of_tags(below, names, code_of, numbers, times, log_map, expected, findings, problems), times
+    return _of_tags(Tagged(below, names, code_of, numbers, times), log_map, expected, findings, problems), times
 
 
-def _of_tags(
-    table: Table,
-    names: Sequence[str],
-    codes: Array,
-    values: Array,
-    times: Times,
-    log_map: LogMap,
-    expected: Expected,
-    findings: list[Finding],
-    problems: Problems,
-) -> Rows:
-    """The rows of values (K,) of the tags `codes` (K,), each with its time: at each time a row, or in rows a step apart."""
+class Tagged(NamedTuple):
+    """Values (K,) a row of a table, each with its time: of the tags at these positions, `codes` (K,), among the names."""
+
+    table: Table
+    names: Sequence[str]
+    codes: Array
+    values: Array
+    times: Times
+
+
+def _of_tags(tagged: Tagged, log_map: LogMap, expected: Expected, findings: list[Finding], problems: Problems) -> Rows:
+    """The rows of values of several tags: at each time a row, or in rows a step apart."""
     import pandas
 
+    table, names, codes, values, times = tagged
     t, numbers = times.t, np.asarray(table.rows)
     for code, name in enumerate(names):
         of = np.flatnonzero(codes == code)
@@ -221,7 +222,8 @@ def long_rows(
     sources = sources._replace(columns=tuple(read))
     if problems.of("cells") or times.kind == UNKNOWN:
         problems.require_none()
-    return sources, _of_tags(table, names, codes, values, times, log_map, expected, findings, problems), times, findings
+    tagged = Tagged(table, names, codes, values, times)
+    return sources, _of_tags(tagged, log_map, expected, findings, problems), times, findings
 
 
 def _part(table: Table, positions: Array) -> Table:
