@@ -280,6 +280,8 @@ def _of_width(
     for k in odd:
         n, row = below[k]
         if len(row) != usual and not columns.fit(row):
+            if k and k - 1 not in unfit and _goes_on(below[k - 1][1], row, usual):
+                unfit.append(k - 1)
             unfit.append(k)
             continue
         if len(row) < width:
@@ -306,6 +308,11 @@ def _of_width(
             text = text.replace(" end early", " ends early", 1)
         findings.append(Finding("short rows", "", len(short), text))
     return below, short
+
+
+def _goes_on(row: Sequence[Any], after: Sequence[Any], width: int) -> bool:
+    """Whether a row was cut in two within a number: the next one begins with digits, and both together have the width."""
+    return len(row) + len(after) - 1 == width and bool(re.fullmatch(r"\d+[.,]?\d*", _text(after[0])))
 
 
 def cut_row(number: int) -> Finding:

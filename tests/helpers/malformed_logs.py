@@ -14,9 +14,9 @@ from fusion_sfdia.logs.findings import LoadedLog
 from fusion_sfdia.logs.reading import load_log
 
 ROWS = 12
-TOLERANT = 'duplicates = "last"\norder = "sort"\nhold = true\nbad = ["Bad", "I/O Timeout", "#N/A", "--", "x", "12 mm"]\n'
+TOLERANT = 'duplicates = "last"\norder = "sort"\nhold = true\nbad = ["Bad", "I/O Timeout", "#N/A", "--", "x", "12 kg"]\n'
 JUNK = (
-    "x", "Bad", "I/O Timeout", "#N/A", "--", "1_0", "0x10", "１２", "1e999", "inf", "-Infinity", "1,2,3", "1.2.3", "12 mm",
+    "x", "Bad", "I/O Timeout", "#N/A", "--", "1_0", "0x10", "１２", "1e999", "inf", "-Infinity", "1,2,3", "1.2.3", "12 kg",
     "1e", "\ufeff", "\x00", "true", "None", '"', "'", ";", "=1+1", "1;2", "9" * 400, "½", "2024-07-01", "nan(1)", "é" * 50,
     "\\", "%s", "{0}",
 )  # fmt: skip
