@@ -12,7 +12,7 @@ from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.live.readings import Reader
 from fusion_sfdia.live.security import Connection, require_connection, require_security
-from fusion_sfdia.live.tables import load_tables, require_bounds, require_known, require_states, require_texts, units_of
+from fusion_sfdia.live.tables import load_tables, require_bounds, require_known, require_readers, require_states, require_texts
 from fusion_sfdia.live.values import MAX_LAG, MAX_LEAD
 from fusion_sfdia.logs.conversion import conversion
 from fusion_sfdia.logs.numbers import Numbers
@@ -80,12 +80,8 @@ def load_nodes(path: str | Path, plant: Plant) -> Nodes:
     if (given := found.get("uncertain", "use")) not in UNCERTAIN:
         raise ValueError(f"{path}: uncertain is {given!r}; expected {' or '.join(map(repr, UNCERTAIN))}")
     require_bounds(path, found)
-    nodes, units = Nodes(**found), units_of(plant)
-    try:
-        for name in nodes.sources:
-            nodes.reader(name, units[name])
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+    nodes = Nodes(**found)
+    require_readers(path, nodes.sources, nodes.reader, plant)
     return nodes
 
 

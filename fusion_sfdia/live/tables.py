@@ -101,6 +101,16 @@ def units_of(plant: Plant) -> dict[str, str]:
     return {s.name: s.unit for s in plant.inputs} | {s.name: s.unit for s in plant.sensors}
 
 
+def require_readers(path: str | Path, names: Iterable[str], reader: Callable[[str, str], object], plant: Plant) -> None:
+    """Raise ValueError, which names the file, for a sensor or input whose reader, reader(name, unit), cannot be made."""
+    units = units_of(plant)
+    try:
+        for name in names:
+            reader(name, units[name])
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
 def require_known(where: str, found: Iterable[str], known: Iterable[str]) -> None:
     """Raise ValueError for a name that is not known."""
     if unknown := [name for name in found if name not in (known := tuple(known))]:

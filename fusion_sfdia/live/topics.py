@@ -16,7 +16,7 @@ from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.live.readings import DoubleKeyError, Reader, json_value
 from fusion_sfdia.live.security import Connection, require_connection
-from fusion_sfdia.live.tables import load_tables, require_bounds, require_known, require_states, require_texts, units_of
+from fusion_sfdia.live.tables import load_tables, require_bounds, require_known, require_readers, require_states, require_texts
 from fusion_sfdia.live.values import MAX_LAG, MAX_LEAD, Value
 from fusion_sfdia.logs.conversion import conversion
 from fusion_sfdia.logs.log_map import OPC_DA, OPC_UA, LogMap
@@ -191,13 +191,12 @@ def load_topics(path: str | Path, plant: Plant) -> Topics:
                 "'opc-da' or 'opc-ua'"
             )
         found["good"] = tuple(found["good"])
-    topics, units = Topics(**found), units_of(plant)
+    topics = Topics(**found)
     try:
         topics.times  # noqa: B018, refuses a format or zone that there is not
-        for name in topics.sources:
-            topics.reader(name, units[name])
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
+    require_readers(path, topics.sources, topics.reader, plant)
     return topics
 
 
