@@ -280,7 +280,7 @@ def _of_width(
     for k in odd:
         n, row = below[k]
         if len(row) != usual and not columns.fit(row):
-            if k and k - 1 not in unfit and _goes_on(below[k - 1][1], row, usual):
+            if 0 < k < len(below) - 1 and k - 1 not in unfit and _goes_on(below[k - 1][1], row, usual):
                 unfit.append(k - 1)
             unfit.append(k)
             continue

@@ -77,8 +77,15 @@ from fusion_sfdia.cli.signals import SIGNALS, ended_in_time, handled
 with handled() as interruption, ended_in_time(interruption):
     interruption.save = lambda: print("saved", flush=True)
     signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # of this thread, as in compiled code
-    print("ready", flush=True)
-    threading.Event().wait()
+    ready = False
+    while True:
+        try:
+            if not ready:
+                ready = True
+                print("ready", flush=True)
+            threading.Event().wait()
+        except KeyboardInterrupt:  # that came before it waited: discarded, too
+            pass
 """
 ENDING = """
 from fusion_sfdia.cli.signals import ended_in_time, handled
