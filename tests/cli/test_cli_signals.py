@@ -8,6 +8,7 @@ import select
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -39,6 +40,14 @@ if __name__ == "__main__":
     sys.exit(main(["run", "toy/mean", "--workers", "2", "--out", "out"]))
 """
 PATIENCE = 60  # s, after which the test fails instead of hanging
+
+
+@pytest.fixture(autouse=True)
+def interruptible() -> Iterator[None]:
+    """Commands hear SIGINT, also where the tests run in the background of a shell, which ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 def read(pipe: int, size: int) -> bytes:
