@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from optional_packages import STRUCTURAL
 from toy_plants import declared, readings, tanks
 
 from fusion_sfdia import registry
@@ -24,7 +25,7 @@ DETECTORS = (
     "kf-chi2",
     "limits",
     "pca",
-    "structural-residuals",
+    STRUCTURAL,
     "adaptive-threshold",
     "chebyshev",
     "chebyshev:paper",

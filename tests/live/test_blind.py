@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from optional_packages import STRUCTURAL
 from toy_plants import changed, readings, tanks
 
 from fusion_sfdia import registry
@@ -188,10 +189,8 @@ def test_readings_that_are_all_missing_or_impossible_are_no_verdict(value: float
     assert written["w"] == ("missing" if np.isnan(value) else "no verdict")
 
 
-@pytest.mark.parametrize("name", ["loo-chi2", "kf-chi2", "chebyshev:paper", "limits", "pca", "structural-residuals"])
+@pytest.mark.parametrize("name", ["loo-chi2", "kf-chi2", "chebyshev:paper", "limits", "pca", STRUCTURAL])
 def test_readings_that_are_all_far_off_are_not_healthy(name: str) -> None:
-    if name == "structural-residuals":
-        pytest.importorskip("faultdiagnosistoolbox", reason="structural residuals need the extra structural")
     rows = rows_of()
     for _, y, _ in rows[30:]:
         y += 1e4 * tanks().sensor_sigma * np.array([1.0, -1.0, 1.0, -1.0])
