@@ -7,12 +7,12 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from optional_packages import REGISTERED, STRUCTURAL
 from scipy.stats import betabinom, binom
 from toy_plants import Array, chain
 
@@ -39,7 +39,6 @@ TOYS = ("chain", "two-tanks")
 WITH_MODULES = {"marine-engine", "two-tanks"}
 OF_INPUTS = ("uio",)  # not applicable to the chain, which has none
 OF_MODULES = ("adaptive-threshold:", "virtual-sensors", "structural-residuals")
-WITHOUT = {"structural-residuals"} if find_spec("faultdiagnosistoolbox") is None else set()  # an optional package
 SLOW = {("gas-pipeline", "fusing-ukf"), ("gas-pipeline", "fusing-enkf")}  # several seconds of calibration
 SLOW |= {("power-network", f"fusing-{kind}") for kind in ("ekf", "ukf", "enkf")}
 
@@ -108,7 +107,7 @@ def pairs() -> Iterator[object]:
             if name in OF_INPUTS and plant == "chain":
                 continue
             marks = [pytest.mark.slow] if (plant, name) in SLOW else []
-            marks += [pytest.mark.skip(reason="needs faultdiagnosistoolbox")] if name in WITHOUT else []
+            marks += STRUCTURAL.marks if name in STRUCTURAL.values else []
             yield pytest.param((plant, name), id=f"{plant}/{name}", marks=marks)
 
 
@@ -188,17 +187,13 @@ def test_silence_when_healthy(pair: tuple[str, str]) -> None:
     assert begun <= law.ppf(0.999)
 
 
-@pytest.mark.parametrize("name", registry.detectors())
+@pytest.mark.parametrize("name", REGISTERED)
 def test_a_detector_that_tests_the_process_is_registered_as_such(name: str) -> None:
-    if name in WITHOUT:
-        pytest.skip("needs faultdiagnosistoolbox")
     assert hasattr(detector_of("two-tanks", name), "process_hypotheses") == registry.detectors()[name].tests_process
 
 
-@pytest.mark.parametrize("name", registry.detectors())
+@pytest.mark.parametrize("name", REGISTERED)
 def test_a_detector_isolates_no_more_sensors_at_once_than_it_states(name: str) -> None:
-    if name in WITHOUT:
-        pytest.skip("needs faultdiagnosistoolbox")
     detector: Any = detector_of("two-tanks", name)
     count = len(detector.plant.sensors)
     t, y, u = healthy("two-tanks", 50, 8)
@@ -212,10 +207,8 @@ def test_a_detector_isolates_no_more_sensors_at_once_than_it_states(name: str) -
     assert at_once <= detector.most_faults == min(detector.most_faults if stated is None else stated, count)
 
 
-@pytest.mark.parametrize("name", registry.detectors())
+@pytest.mark.parametrize("name", REGISTERED)
 def test_a_state_has_named_and_documented_fields_and_the_time_of_the_last_reading(name: str, tmp_path: Path) -> None:
-    if name in WITHOUT:
-        pytest.skip("needs faultdiagnosistoolbox")
     detector = detector_of("two-tanks", name)
     t, y, u = healthy("two-tanks", 4, 2)
     state = detector.init((2,), t=float(t[0]) - detector.plant.dt)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import inspect
 from dataclasses import fields
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from optional_packages import REGISTERED, needs_toolbox
 from scipy.stats import betabinom
 from toy_plants import chain, readings, tanks
 
@@ -27,10 +27,9 @@ from fusion_sfdia.structural_residuals.structural_residuals import StructuralRes
 PLANT = "two-tanks"
 RATE = 0.02
 STEPS, SETTLED = 80, 20
-NEEDS_PACKAGE = {"structural-residuals"} if find_spec("faultdiagnosistoolbox") is None else set()
 LEARN = {f"fusing-{kind}" for kind in ("ekf", "ukf", "enkf")}
 LEARN |= {"limits", "limits-ewma", "pca", "dynamic-pca", "one-class", "structural-residuals"}
-every_detector = pytest.mark.parametrize("name", [n for n in registry.detectors() if n not in NEEDS_PACKAGE])
+every_detector = pytest.mark.parametrize("name", REGISTERED)
 
 
 @cache
@@ -121,9 +120,8 @@ def test_thresholds_are_the_order_statistic_of_the_scores() -> None:
         CentralFilter.fit(plant, None)
 
 
+@needs_toolbox
 def test_readings_that_are_not_a_step_apart_are_refused_where_states_are_integrated() -> None:
-    if NEEDS_PACKAGE:
-        pytest.skip("needs the optional package faultdiagnosistoolbox")
     recording = healthy(0, 40)
     with pytest.raises(ValueError, match=r"the healthy readings are not 5 s apart"):
         StructuralResiduals.fit(registry.plant(PLANT), (2 * recording.t, recording.y, recording.u_of_runs), RATE)

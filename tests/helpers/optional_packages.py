@@ -1,4 +1,4 @@
-"""Detectors that need an optional package, as parameters of tests that skip where it is missing."""
+"""The registered detectors as parameters of tests; one whose optional package is missing skips."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ from importlib.util import find_spec
 
 import pytest
 
-STRUCTURAL = pytest.param(
-    "structural-residuals",
-    marks=pytest.mark.skipif(
-        find_spec("faultdiagnosistoolbox") is None, reason="structural residuals need faultdiagnosistoolbox"
-    ),
+from fusion_sfdia import registry
+
+NAME = "structural-residuals"
+
+needs_toolbox = pytest.mark.skipif(
+    find_spec("faultdiagnosistoolbox") is None, reason="structural residuals need faultdiagnosistoolbox"
 )
+STRUCTURAL = pytest.param(NAME, marks=needs_toolbox)
+REGISTERED = [STRUCTURAL if name == NAME else name for name in registry.detectors()]

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from optional_packages import needs_toolbox
 from toy_plants import Array, chain, tanks
 
 from fusion_sfdia import Numerics, Physics, Plant, Sensor, Signal, discretise, inspect_plant, linear_plant, simulate
@@ -232,8 +233,8 @@ def test_what_a_detector_cannot_do_is_stated() -> None:
     assert "simulated for" not in text and "structural-residuals: plant 'tanks in a row'" in " ".join(text.split())
 
 
+@needs_toolbox
 def test_the_pattern_of_the_equations_tells_what_sizes_cannot() -> None:
-    pytest.importorskip("faultdiagnosistoolbox")
     pair = inspect_plant(plant(uncoupled, of_upper, 2), simulated=False).structure
     assert pair is not None and pair.groups == ()
     row = inspect_plant(plant(levels), simulated=False).structure
