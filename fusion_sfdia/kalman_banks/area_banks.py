@@ -28,6 +28,7 @@ from fusion_sfdia.core.state import State
 from fusion_sfdia.core.uncertainty import error_of
 from fusion_sfdia.filters.estimators import GaussianState, Prior
 from fusion_sfdia.kalman_banks.hypotheses import Hypotheses
+from fusion_sfdia.kalman_banks.parameter_walk import Walk
 from fusion_sfdia.kalman_banks.robust_bank import RobustBank
 from fusion_sfdia.kalman_banks.standing import Standing
 
@@ -52,9 +53,9 @@ class AreaBank(RobustBank):
         names = [s.name for s in self.model.states]
         return names.index(error_of(self.plant.inputs[1].name))
 
-    def _predict(self, estimate: GaussianState, standing: Standing, now: TimeStep, u: Array) -> Prior:
+    def _predict(self, estimate: GaussianState, standing: Standing, walk: Walk, now: TimeStep, u: Array) -> Prior:
         """The prediction with the covariance g g' sigma^2 by errors of the neighbours' estimates."""
-        prior = super()._predict(estimate, standing, now, u)
+        prior = super()._predict(estimate, standing, walk, now, u)
         assert prior.tangent is not None
         (x, p), n = prior.core, len(self.plant.states)
         by_error = prior.tangent[..., :n, self._by_load] * u[..., ERROR_OUTSIDE, None]

@@ -70,10 +70,12 @@ def with_alternatives(prior: Prior, tested: Tested, weight: Array) -> Prior:
     return prior._replace(core=GaussianState(x, p + effect @ np.swapaxes(effect, -1, -2)))
 
 
-def widened(prior: Prior, where: Array, sd: Array) -> Prior:
-    """The prior with the augmented states `where` (..., p) changed, too, with standard deviations sd (p,)."""
+def with_prior_unknowns(prior: Prior, sd: Array) -> Prior:
+    """The prior with the augmented states as uncertain as at first, sd (p,), and independent of the plant's own states."""
     x, p = prior.core
-    wider = p.copy()
-    added = np.einsum("...ii->...i", wider)[..., x.shape[-1] - sd.size :]
-    added += np.where(where, sd**2, 0.0)
+    n, wider = x.shape[-1] - sd.size, np.array(p)
+    frozen = np.einsum("...ii->...i", p)[..., n:] == 0
+    wider[..., n:, :] = 0.0
+    wider[..., :, n:] = 0.0
+    np.einsum("...ii->...i", wider)[..., n:] = np.where(frozen, 0.0, sd**2)
     return prior._replace(core=GaussianState(x, wider))

@@ -27,6 +27,7 @@ from fusion_sfdia.kalman_banks.window_step import WindowStep
 
 Array = NDArray[Any]
 
+NO_INFLATION = np.ones((1, 1)), np.ones((1, 1, 0))
 LEAST_INFORMATION = 1e-3  # b in units of 1 / size^2, below which an onset has no information on faults of realistic size
 
 
@@ -190,19 +191,36 @@ def averaged(statistic: Array, expected: Array) -> Array:
     return np.asarray(statistic * (expected / (1 + expected)) - np.log1p(expected))
 
 
-def best_onset(weighed: Weighed, usable: Array, size: Array, first: int = 0) -> Best:
+class Inflation(NamedTuple):
+    """By how much sums since each onset vary more than those of white noise: common (..., L), of sensors own (..., L, N)."""
+
+    common: Array
+    own: Array
+
+
+def best_onset(weighed: Weighed, usable: Array, size: Array, first: int = 0, inflation: Inflation | None = None) -> Best:
     """Maximise over the onsets from slot `first` on; a statistic of 0 where there is no information.
 
     usable (..., q). size (q,) or (..., L, q): standard deviation of the hypothesis's size before any reading. The evidence of
-    an onset is that of `averaged`.
+    an onset is that of `averaged`. inflation: of the noise; hypotheses compete by the common one, so that none is favoured, and
+    the statistic and information of each are by its own.
     """
     a, b, batch = weighed.a, weighed.b, weighed.age.shape[:-1]
     spread = size[None, None] if size.ndim == 1 else bank_kernels.common(size, batch, 2)
+    common, own = NO_INFLATION if inflation is None else (bank_kernels.runs(v, batch) for v in inflation)
     found = window_kernels.best(
-        bank_kernels.runs(a, batch), bank_kernels.runs(b, batch), bank_kernels.runs(usable, batch), spread, first,
+        bank_kernels.runs(a, batch), bank_kernels.runs(b, batch), bank_kernels.runs(usable, batch), spread, common, own, first,
         LEAST_INFORMATION,
     )  # fmt: skip
     return Best(*(_of_batch(v, batch) for v in found))
+
+
+def with_readings(weighed: Weighed, more: Array) -> Weighed:
+    """The window with M' du added to a: readings whose whitened innovations u are more by du (..., N)."""
+    back = (np.swapaxes(weighed.readout, -1, -2) @ more[..., None])[..., 0]
+    added = -np.einsum("...lnq,...n->...lq", weighed.eta, back)
+    added[..., : more.shape[-1]] += weighed.readings[..., None] * more[..., None, :]
+    return weighed._replace(a=weighed.a + added)
 
 
 def residual_and_threshold(

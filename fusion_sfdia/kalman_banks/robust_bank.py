@@ -3,12 +3,14 @@
 The central filter estimates what the plant declares as unknown (`core.augment`). On its innovations the hypotheses of
 `hypotheses` compete; `competition` decides between sensor, process and "cannot tell".
 
-- A sensor is isolated by the present sample, or by the windows, where it explains the readings better than any difference of
-  the plant, by a margin. What it has done to the estimate is removed.
-- A process hypothesis is accepted in the same way. The estimate is moved to it, with its uncertainty, the windows restart, and
-  sensors that were isolated in the recent past are used again: the diagnosis of sensors continues. While the hypothesis stands
-  a sensor needs the larger margin, and soon after it was accepted the lead in `PERSISTENT` samples in a row. While it leaves
-  readings of several sensors unexplained, none is isolated.
+- A sensor is isolated by the windows, or by the present sample twice in a row, where it explains the readings better than any
+  difference of the plant, by a margin. What it has done to the estimate is removed.
+- A process hypothesis is accepted in the same way. The estimate is moved to it, with its uncertainty, and the windows restart.
+  While the hypothesis stands a sensor needs the larger margin, and soon after it was accepted the lead in `PERSISTENT` samples
+  in a row. While it leaves readings of several sensors unexplained, none is isolated.
+- What readings show of their noise, its size, correlation and outliers, scales all evidence (`reading_noise`); parameters that
+  keep moving to one side are allowed to (`parameter_walk`).
+- Where something is uncertain, the first `START` samples give no verdict.
 - Otherwise an alarm is undecided, and its suspects are reported.
 - A sensor whose readings are too quiet is isolated, too (`quiet`).
 """
@@ -29,7 +31,9 @@ from fusion_sfdia.core.batch_detector import TimeStep
 from fusion_sfdia.core.detector import Decision, ProcessHypothesis
 from fusion_sfdia.core.exclusion import restored
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.state import mapped
 from fusion_sfdia.filters.estimators import Extended, GaussianState, Prior, step_stream
+from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.kalman_banks.competition import (
     Accepted,
     Evidence,
@@ -45,19 +49,33 @@ from fusion_sfdia.kalman_banks.competition import (
     suspects,
 )
 from fusion_sfdia.kalman_banks.excluding_bank import UNUSED, ExcludingBank, SensorTests, Update
-from fusion_sfdia.kalman_banks.freed_estimates import Tested, moved, widened, with_alternatives
-from fusion_sfdia.kalman_banks.hypotheses import PARAMETER_SIZE, SLOW_STEP, Hypotheses
-from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, one_hot, posterior_and_gain, statistics
+from fusion_sfdia.kalman_banks.freed_estimates import Tested, moved, with_alternatives, with_prior_unknowns
+from fusion_sfdia.kalman_banks.hypotheses import SLOW_STEP, UNNAMED, Hypotheses
+from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, one_hot, posterior_and_gain, statistics, value_at
 from fusion_sfdia.kalman_banks.likelihood_window import (
     Grid,
+    Inflation,
+    Weighed,
     Window,
     best_onset,
     residual_and_threshold,
     shifted,
     updated,
     weigh,
+    with_readings,
 )
-from fusion_sfdia.kalman_banks.quiet import Pairs, no_pairs, paired, too_quiet
+from fusion_sfdia.kalman_banks.parameter_walk import Walk, noise_of
+from fusion_sfdia.kalman_banks.parameter_walk import followed as walked
+from fusion_sfdia.kalman_banks.quiet import no_pairs, paired, too_quiet
+from fusion_sfdia.kalman_banks.reading_noise import (
+    CLIP,
+    ReadingNoise,
+    clipped,
+    inflation_of,
+    is_larger,
+    learnt,
+    unclipped,
+)
 from fusion_sfdia.kalman_banks.robust_memory import RobustMemory, faded, leaves_unexplained, nothing_known
 from fusion_sfdia.kalman_banks.standing import Standing, added_noise, followed, sizes, with_accepted
 from fusion_sfdia.kalman_banks.window_step import WindowStep, last_update, window_step
@@ -67,7 +85,21 @@ Array = NDArray[Any]
 QUIET_SHARE = 0.1  # of the false alarms, for readings that are too quiet
 LATELY = 15  # samples after a process hypothesis was accepted, in which what changed may turn out to be more
 PERSISTENT = 3  # samples in a row that isolate a sensor then
+TWICE = 2  # samples in a row that isolate a sensor by themselves at other times: one may be an outlier
+BRIEF = 2  # samples since the onset of what may have been an outlier
+USUAL_SQUARE = 6.6  # chi-square below which a reading is as expected (0.99)
+START = 32  # samples without a verdict where something is uncertain
+LEARNT_AGAIN = (8, 16)  # samples before which what is uncertain gets its prior spread again, linearised at a better estimate
 USUAL = 1.0  # of the prior standard deviation of a parameter or input: so much is no change of the process
+
+
+def of_runs(where: Array, one: Any, other: Any) -> Any:
+    """Of two tuples of arrays (..., ..), those of `one` in the runs `where` (...) holds, else those of `other`."""
+
+    def chosen(a: Array, b: Array) -> Array:
+        return a if a is b else np.where(where.reshape(where.shape + (1,) * (a.ndim - where.ndim)), a, b)
+
+    return mapped(chosen, one, other)
 
 
 @dataclass(frozen=True)
@@ -93,7 +125,7 @@ class RobustBank(ExcludingBank):
     process_false_alarm: float = 1e-5
     sensor_margin: float = 3.0
     process_margin: float = 10.0
-    smallest: float = 1.5
+    smallest: float = 2.0
     max_faults: int | None = None
     accommodate: bool = True
     estimator: Extended = field(default_factory=Extended)
@@ -144,13 +176,14 @@ class RobustBank(ExcludingBank):
         out_for, led = (np.where(which, 0.0, a) for a in (memory.out_for, memory.led))
         fresh = no_pairs(memory.led.shape[:-1], which.shape[-1])
         first = np.where(which, fresh.first, memory.pairs.first)
-        pairs = Pairs(first, np.where(which[..., None, :], fresh.squares, memory.pairs.squares))
+        pairs = memory.pairs._replace(first=first, squares=np.where(which[..., None, :], fresh.squares, memory.pairs.squares))
         return used._replace(out_for=out_for, led=led, pairs=pairs)
 
     def _judge(self, memory: RobustMemory, now: TimeStep, y: Array, u: Array) -> tuple[RobustMemory, Decision]:
-        estimate, exclusion, out_for, led, *windows, last, standing, pairs, nis = memory
-        of, est, count = self._hypotheses, self.estimator, y.shape[-1]
+        estimate, exclusion, out_for, led, *windows, last, standing, pairs, nis, noise, walk = memory
+        of, count = self._hypotheses, y.shape[-1]
         stands = np.asarray(standing.accepted.any(axis=-1))
+        begins = of.added > 0 and now.k <= START  # no verdict before what is uncertain has been learnt
         unexplained = none = np.zeros(stands.shape, bool)
         limits, handicap, room = self._limits, of.handicap, self.most_faults - exclusion.out.sum(axis=-1)
         if stands.any():
@@ -158,91 +191,142 @@ class RobustBank(ExcludingBank):
             handicap = np.where(stands[..., None], 0.0, handicap)
             unexplained = stands & leaves_unexplained(nis)  # no sensor is isolated then
             room = np.where(unexplained, 0, room)
-        prior = self._predict(estimate, standing, now, u)
-        joint = est.joint(of.model, prior, now.t, u)
-        y = self.plant.near(y, joint.y)
+        if begins:
+            room = np.zeros_like(room)
+        prior = self._predict(estimate, standing, walk, now, u)
+        if of.added and now.k in LEARNT_AGAIN:
+            prior = with_prior_unknowns(prior, of.sd)
+        joint = self._joint(prior, noise, now, u)
         usable = np.isfinite(y) & ~exclusion.out
+        spread = noise.spread
         everything = statistics(joint, y, usable)
+        counted, whole = clipped(everything, spread), none  # whole: runs in which outliers count as they are
         assert prior.tangent is not None and joint.H is not None
-        step = window_step(last, prior.tangent, joint.H, everything, windows[0].eta.dtype, of.leading)
-        tested = self._test(windows, prior.tangent, step, now.k, everything)
-        one = one_sample_evidence(everything, of.recent_sizes[:count])
-        evidence = gathered(tested.best_recent, tested.best_slow, tested.slow.age, one, handicap)
+        step = window_step(last, prior.tangent, joint.H, counted.found, windows[0].eta.dtype, of.leading)
+        weighed = self._weigh(windows, prior.tangent, step, now.k)
+        inflations = tuple(inflation_of(noise, w.age) for w in weighed)
+        tested, evidence = self._compete(weighed, inflations, counted.found, handicap)
+        if counted.less.any():  # of a fault of the process, it may be
+            other, of_whole = self._compete(
+                tuple(with_readings(w, counted.less) for w in weighed), inflations, everything, handicap
+            )
+            whole = of_whole.best_process > self._of_outliers(everything, spread)
+            if whole.any():
+                tested, evidence = of_runs(whole, (other, of_whole), (tested, evidence))
+                counted = unclipped(counted, everything, whole)
         isolated, capped = np.zeros(y.shape, bool), none
-        if (everything.chi_square > limits.one).any():
+        if (everything.chi_square > limits.one * spread).any():
             present = Present(tested.recent.changes(slice(0, 1), count)[..., 0, :, :], of.recent_sizes, handicap)
             isolated, capped = eliminated(everything, evidence, present, limits, room)
-        by_windows = accepted(evidence, limits, np.asarray(~isolated.any(axis=-1)))
-        found, led, leads, process, restart = everything, np.zeros(led.shape), led, by_windows.is_process, none
+        by_windows = accepted(evidence, limits, np.asarray(~isolated.any(axis=-1)) & (not begins))
+        used, found, led, leads = everything, counted.found, np.zeros(led.shape), led
+        process, restart = by_windows.is_process, none
+        waits = np.zeros(y.shape, bool)
         if isolated.any() or by_windows.is_sensor.any() or process.any():
             capped = capped | (by_windows.is_sensor & (room < 1))
             sensor, lately = by_windows.is_sensor & (room > 0), stands & (standing.since <= LATELY)
-            isolated = isolated | (sensor[..., None] & one_hot(by_windows.sensor, count))
+            spike = sensor & self._is_spike(tested, by_windows.sensor, everything)
             led = led_by(leads, isolated, np.where(isolated, everything.innovation, 0.0))
-            isolated = isolated & (np.abs(led) >= np.where(lately, PERSISTENT, 1)[..., None])
-            reopened = isolated.any(axis=-1) & lately & ~standing.reopened & self.accommodate
-            isolated = isolated & ~reopened[..., None]
-            freed = absorbed_before(evidence, isolated, by_windows.sensor)
-            changed, leaves = freed | process | reopened, isolated.any(axis=-1)
+            waits = isolated & (np.abs(led) < np.where(lately, PERSISTENT, TWICE)[..., None])
+            isolated = (isolated & ~waits) | ((sensor & ~spike)[..., None] & one_hot(by_windows.sensor, count))
+            freed = absorbed_before(evidence, isolated, by_windows.sensor) | spike
+            changed, leaves = freed | process, isolated.any(axis=-1)
             if self.accommodate and changed.any():
                 rivals = alternatives(evidence, by_windows, self.process_margin)
                 standing = self._stand(standing, by_windows, evidence, prior, rivals > 0)
-                standing = standing._replace(reopened=standing.reopened | reopened)
                 prior = with_alternatives(moved(prior, tested, evidence, by_windows, freed), tested, rivals)
-                likely = reopened[..., None] & (evidence.process[..., : of.added] > 0)
-                prior = widened(prior, likely, PARAMETER_SIZE * of.changes)
-                joint = est.joint(of.model, prior, now.t, u)
+                joint = self._joint(prior, noise, now, u)
             restart = (changed | leaves) & self.accommodate
-            if restart.any():
-                found = statistics(joint, y, usable & ~isolated)
-        capped = capped & ~unexplained
+            if restart.any() or (self.accommodate and waits.any()):
+                used = statistics(joint, y, usable & ~isolated & ~waits)
+                found = unclipped(clipped(used, spread), used, whole).found
+        if begins and now.k == LEARNT_AGAIN[-1]:
+            restart = np.ones(stands.shape, bool)
+        capped = capped & ~unexplained & (not begins)
         x, p, gain = posterior_and_gain(joint, found)
         last = last_update(step, gain, restart)
         recent, slow = (updated(w, restart) for w in (tested.recent, tested.slow))
 
-        pairs = paired(pairs, y, self.plant.sensor_sigma, self.plant.sensor_resolution)
-        quiet = too_quiet(pairs, QUIET_SHARE * self.false_alarm / count)
-        quiet = quiet & ~unexplained[..., None]
+        share = QUIET_SHARE * self.false_alarm / count
+        pairs = paired(pairs, y, self.plant.sensor_sigma, self.plant.sensor_resolution, share)
+        quiet = too_quiet(pairs, share)
+        quiet = quiet & ~unexplained[..., None] & (not begins)
         if quiet.any():
             held = exclusion.out | isolated
             fits = held | (np.cumsum(quiet & ~held, axis=-1) <= self.most_faults - np.sum(held, axis=-1, keepdims=True))
             quiet, capped = quiet & fits, capped | np.any(quiet & ~fits, axis=-1)
-        again = process | unexplained
-        if self.accommodate and again.any():
-            exclusion = restored(exclusion, again[..., None] & (out_for <= self.window))
-        update = Update(x, p, prior, joint, found)
-        exclusion, decision = self._conclude(
-            now, y, u, exclusion, update, self._shown(everything, evidence, usable, isolated | quiet, capped)
-        )
-        added = slice(len(self.plant.states), None)
-        variance = np.diagonal(p, axis1=-2, axis2=-1)[..., added]
-        standing = followed(standing, x[..., added], variance)
+        if self.accommodate and unexplained.any():
+            exclusion = restored(exclusion, unexplained[..., None] & (out_for <= self.window))
+        update = Update(x, p, prior, joint, used)
+        shown = self._shown(counted.found, evidence, usable, isolated | quiet, capped)
+        if begins:
+            shown = shown._replace(threshold=np.full(y.shape, np.inf))
+        exclusion, decision = self._conclude(now, y, u, exclusion, update, shown)
+        own = slice(len(self.plant.states), None)
+        variance = np.diagonal(p, axis1=-2, axis2=-1)[..., own]
+        standing = followed(standing, x[..., own], variance)
         out_for = np.where(exclusion.out, out_for + 1, 0.0)
+        noise = learnt(noise, everything, ~stands & (not begins or now.k > LEARNT_AGAIN[-1]))
+        before = np.diagonal(prior.core.P, axis1=-2, axis2=-1)[..., own]
+        walk = walked(walk, x[..., own] - prior.core.x[..., own], before - variance, ~stands & (not begins))
         memory = RobustMemory(
-            GaussianState(x, p), exclusion, out_for, led, recent, slow, last, standing, pairs, faded(nis, found)
-        )
+            GaussianState(x, p), exclusion, out_for, led, recent, slow, last, standing, pairs, faded(nis, everything),
+            noise, walk,
+        )  # fmt: skip
         undecided = (decision.score > 1) & ~decision.isolated.any(axis=-1) & ~process
-        return memory, self._with_process(decision, evidence, standing, undecided, (x[..., added], variance))
+        return memory, self._with_process(decision, evidence, standing, undecided, (x[..., own], variance))
 
-    def _predict(self, estimate: GaussianState, standing: Standing, now: TimeStep, u: Array) -> Prior:
-        """The prediction of the augmented state, with process noise by errors of equations."""
-        of = self._hypotheses
+    def _joint(self, prior: Prior, noise: ReadingNoise, now: TimeStep, u: Array) -> Joint:
+        """State and readings before the update, of sensors whose noise is clearly larger than stated with that noise."""
+        joint = self.estimator.joint(self._hypotheses.model, prior, now.t, u)
+        larger = is_larger(noise)
+        if not larger.any():
+            return joint
+        S = np.array(joint.S)
+        np.einsum("...ii->...i", S)[...] += np.where(larger, np.exp(noise.size) - 1, 0.0) * self.plant.sensor_cov
+        return joint._replace(S=S, repeated=None)
+
+    def _is_spike(self, tested: Tested, sensor: Array, found: LeaveOneOut) -> Array:
+        """Whether the onset of a sensor (...) is at most `BRIEF` samples ago and its present reading is as expected (...)."""
+        slot = value_at(tested.best_recent.slot, sensor)
+        age = value_at(tested.recent.age, slot)
+        return np.asarray((age <= BRIEF) & (value_at(found.chi_square, sensor) < USUAL_SQUARE))
+
+    def _predict(self, estimate: GaussianState, standing: Standing, walk: Walk, now: TimeStep, u: Array) -> Prior:
+        """The prediction of the augmented state, with process noise by errors of equations and by parameters that walk."""
+        of, n = self._hypotheses, len(self.plant.states)
         prior = self.estimator.predict(of.model, estimate, now.t_start, u, now.dt, UNUSED)
         x, p = prior.core
-        if (noise := added_noise(standing, of.rates, x[..., len(self.plant.states) :])) is None:
-            return prior
-        return prior._replace(core=GaussianState(x, p + noise))
+        if (noise := added_noise(standing, of.rates, x[..., n:])) is not None:
+            p = p + noise
+        if (variance := noise_of(walk, of.sd)) is not None:
+            p = np.array(p)
+            np.einsum("...ii->...i", p)[..., n:] += variance
+        return prior if p is prior.core.P else prior._replace(core=GaussianState(x, p))
 
-    def _test(self, windows: Sequence[Window], F: Array, step: WindowStep, k: int, found: LeaveOneOut) -> Tested:
+    def _weigh(self, windows: Sequence[Window], F: Array, step: WindowStep, k: int) -> tuple[Weighed, Weighed]:
         """Add the present readings to both windows; F: tangent of the step, the k-th."""
         of = self._hypotheses
         recent, slow = (shifted(w, grid, k) for w, grid in zip(windows, self._grids, strict=True))
-        weighed = weigh(recent, step, of.recent(F, recent.age.shape[-1]))
-        slowly = weigh(slow, step, of.slow(F, slow.age))
-        every = np.ones(weighed.a.shape[:-2] + weighed.a.shape[-1:], bool)
+        return weigh(recent, step, of.recent(F, recent.age.shape[-1])), weigh(slow, step, of.slow(F, slow.age))
+
+    def _compete(
+        self, weighed: tuple[Weighed, ...], inflations: tuple[Inflation, ...], found: LeaveOneOut, handicap: Array
+    ) -> tuple[Tested, Evidence]:
+        """The best onsets of the windows, and the evidence of all hypotheses."""
+        of, (recent, slow), (near, far) = self._hypotheses, weighed, inflations
+        every = np.ones(recent.a.shape[:-2] + recent.a.shape[-1:], bool)
         every[..., : found.used.shape[-1]] = found.used
-        best_slow = best_onset(slowly, every[..., : slow.a.shape[-1]], of.slow_sizes(slow.age))
-        return Tested(weighed, slowly, best_onset(weighed, every, of.recent_sizes), best_slow)
+        best_slow = best_onset(slow, every[..., : slow.a.shape[-1]], of.slow_sizes(slow.age), inflation=far)
+        tested = Tested(recent, slow, best_onset(recent, every, of.recent_sizes, inflation=near), best_slow)
+        one = one_sample_evidence(found, of.recent_sizes[: found.used.shape[-1]])
+        return tested, gathered(tested.best_recent, best_slow, slow.age, one, handicap)
+
+    def _of_outliers(self, found: LeaveOneOut, spread: Array) -> Array:
+        """Evidence (...) of the sensors whose readings are clipped, of all together: each but one needs `UNNAMED` more."""
+        beyond = found.chi_square > CLIP**2 * spread
+        each = one_sample_evidence(found, self._hypotheses.recent_sizes[: beyond.shape[-1]])
+        return np.asarray(np.sum(np.where(beyond, each - UNNAMED, 0.0), axis=-1) + UNNAMED)
 
     def _stand(self, standing: Standing, by_windows: Accepted, evidence: Evidence, prior: Prior, rivals: Array) -> Standing:
         """The process hypotheses that stand, with those accepted now and their rivals."""

@@ -13,7 +13,9 @@ from fusion_sfdia.kalman_banks import bank_kernels
 from fusion_sfdia.kalman_banks.hypotheses import Hypotheses
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut
 from fusion_sfdia.kalman_banks.likelihood_window import Grid, Window, empty
+from fusion_sfdia.kalman_banks.parameter_walk import Walk, no_walk
 from fusion_sfdia.kalman_banks.quiet import Pairs, no_pairs
+from fusion_sfdia.kalman_banks.reading_noise import ReadingNoise, nothing_shown
 from fusion_sfdia.kalman_banks.standing import Standing, nothing
 from fusion_sfdia.kalman_banks.window_step import LastUpdate, no_update
 
@@ -40,6 +42,8 @@ class RobustMemory(NamedTuple):
     standing: Standing
     pairs: Pairs
     nis: Array
+    noise: ReadingNoise
+    walk: Walk
 
 
 def nothing_known(of: Hypotheses, estimate: GaussianState, batch: tuple[int, ...], grids: tuple[Grid, Grid]) -> RobustMemory:
@@ -57,6 +61,8 @@ def nothing_known(of: Hypotheses, estimate: GaussianState, batch: tuple[int, ...
         nothing(batch, p, n),
         no_pairs(batch, count),
         np.ones(batch),
+        nothing_shown(batch, count),
+        no_walk(batch, p),
     )
 
 

@@ -30,8 +30,7 @@ class Standing(NamedTuple):
 
     accepted (..., P): bool. rival (..., p): alternatives, bool. before (..., p): estimates of the augmented states before they
     changed. size, sd (..., n): of the errors of equations when they were accepted. left (..., n): share of the added process
-    noise. since (...): samples since the last hypothesis was accepted. reopened (...): whether all augmented states have been
-    freed since then, bool.
+    noise. since (...): samples since the last hypothesis was accepted.
     """
 
     accepted: Array
@@ -41,16 +40,13 @@ class Standing(NamedTuple):
     sd: Array
     left: Array
     since: Array
-    reopened: Array
 
 
 def nothing(batch: tuple[int, ...], added: int, states: int) -> Standing:
     """Return the state in which the model holds."""
     size, sd, left = (np.zeros((*batch, states)) for _ in range(3))
     accepted, before = np.zeros((*batch, added + states), bool), np.zeros((*batch, added))
-    return Standing(
-        accepted, np.zeros((*batch, added), bool), before, size, sd, left, np.full(batch, LONG_AGO), np.zeros(batch, bool)
-    )
+    return Standing(accepted, np.zeros((*batch, added), bool), before, size, sd, left, np.full(batch, LONG_AGO))
 
 
 def added_noise(now: Standing, rates: Array, z: Array) -> Array | None:
@@ -83,7 +79,6 @@ def with_accepted(now: Standing, which: Array, rivals: Array, z: Array, size: Ar
         np.where(rates, sd[..., p:], now.sd),
         np.where(rates, 1.0, now.left),
         np.where(np.any(which, axis=-1), 0.0, now.since),
-        now.reopened & ~np.any(which, axis=-1),
     )
 
 

@@ -245,10 +245,13 @@ def merged(
 
 
 @compiled
-def best(a: Array, b: Array, usable: Array, size: Array, first: int, least: float) -> tuple[Array, Array, Array, Array, Array]:
+def best(
+    a: Array, b: Array, usable: Array, size: Array, common: Array, own: Array, first: int, least: float
+) -> tuple[Array, Array, Array, Array, Array]:
     """Statistic, size, information, evidence and slot (B, q) of the best onset from the slot `first` on, see `best_onset`.
 
-    size (B, L, q), (1, L, q) or (1, 1, q): standard deviations before any reading; usable (B, q).
+    size (B, L, q), (1, L, q) or (1, 1, q): standard deviations before any reading; usable (B, q). common (B, L) or (1, 1), own
+    (B, L, N) or (1, 1, 0): inflation of all sums of an onset, and of those of the first N hypotheses.
     """
     B, L, q = a.shape
     statistic, found, information = np.empty((B, q)), np.empty((B, q)), np.empty((B, q))
@@ -259,9 +262,10 @@ def best(a: Array, b: Array, usable: Array, size: Array, first: int, least: floa
             top[j], at[j] = -1.0, first
         for l in range(first, L):  # noqa: E741
             sums, squares, spread, place = a[r, l], b[r, l], size[r % size.shape[0], l % size.shape[1]], float(l)
+            scale = common[r % common.shape[0], l % common.shape[1]]
             for j in range(q):
                 informed = squares[j] * (spread[j] * spread[j]) > least
-                value = sums[j] * sums[j] / squares[j]
+                value = sums[j] * sums[j] / (squares[j] * scale)
                 better = informed & (value > top[j])
                 top[j] = value if better else top[j]
                 at[j] = place if better else at[j]
@@ -269,9 +273,12 @@ def best(a: Array, b: Array, usable: Array, size: Array, first: int, least: floa
             statistic[r, j], found[r, j], information[r, j], evidence[r, j], slot[r, j] = 0.0, 0.0, 1.0, -np.inf, first
             if usable[r, j] and top[j] >= 0.0:
                 l = int(at[j])  # noqa: E741
-                s = size[r % size.shape[0], l % size.shape[1], j]
-                slot[r, j], information[r, j], expected = l, b[r, l, j], b[r, l, j] * (s * s)
-                found[r, j] = a[r, l, j] / information[r, j]
+                s, scale = size[r % size.shape[0], l % size.shape[1], j], common[r % common.shape[0], l % common.shape[1]]
+                slot[r, j], found[r, j], expected = l, a[r, l, j] / b[r, l, j], b[r, l, j] / scale * (s * s)
+                value = found[r, j] * found[r, j] * (b[r, l, j] / scale)
+                evidence[r, j] = value * (expected / (1.0 + expected)) - np.log1p(expected)
+                if j < own.shape[2]:
+                    scale = own[r, l, j]
+                information[r, j] = b[r, l, j] / scale
                 statistic[r, j] = found[r, j] * found[r, j] * information[r, j]
-                evidence[r, j] = statistic[r, j] * (expected / (1.0 + expected)) - np.log1p(expected)
     return statistic, found, information, evidence, slot

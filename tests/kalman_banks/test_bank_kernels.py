@@ -68,10 +68,10 @@ def test_a_product_by_entries_is_that_of_the_library(share: float) -> None:
 
 
 def _faulty(plant: Plant) -> tuple[Array, Array, Array]:
-    healthy = simulate(plant, 60, [1, 2], truth="model")
+    healthy = simulate(plant, 100, [1, 2], truth="model")
     y = healthy.y.copy()
-    y[20:40, 0, 1] += 6.0 * plant.sensor_sigma[1]
-    y[30:, 1, 3] += 3.0 * plant.sensor_sigma[3]
+    y[50:70, 0, 1] += 6.0 * plant.sensor_sigma[1]
+    y[60:, 1, 3] += 4.0 * plant.sensor_sigma[3]
     y[10:15, 1, 0] = np.nan
     return healthy.t, y, healthy.u
 
@@ -88,7 +88,7 @@ def test_a_bank_decides_as_by_the_library(bank: type[LeaveOneOutBank] | type[Rob
     found = decisions()
     _to_the_library(library)
     expected = decisions()
-    assert expected.isolated[25, 0, 1] and expected.isolated[-1, 1, 3]
+    assert expected.isolated[55, 0, 1] and expected.isolated[-1, 1, 3]
     np.testing.assert_array_equal(found.isolated, expected.isolated)
     scale = np.abs(expected.residual).max(axis=(0, 1))
     np.testing.assert_allclose(found.residual / scale, expected.residual / scale, rtol=0, atol=1e3 * np.finfo(np.float32).eps)

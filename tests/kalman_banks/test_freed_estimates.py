@@ -12,7 +12,7 @@ from rounding import rounding
 from fusion_sfdia.filters.estimators import GaussianState, Prior
 from fusion_sfdia.kalman_banks import freed_estimates
 from fusion_sfdia.kalman_banks.competition import Accepted, Evidence
-from fusion_sfdia.kalman_banks.freed_estimates import moved, widened, with_alternatives
+from fusion_sfdia.kalman_banks.freed_estimates import moved, with_alternatives, with_prior_unknowns
 from fusion_sfdia.kalman_banks.likelihood_window import Best, Weighed
 from fusion_sfdia.kalman_banks.standing import DOUBT
 
@@ -90,9 +90,12 @@ def test_alternatives_widen_the_covariance_by_their_effects() -> None:
     assert with_alternatives(PRIOR, TESTED, np.zeros((RUNS, PROCESS))) is PRIOR
 
 
-def test_reopened_augmented_states_get_their_spread() -> None:
-    x, p = widened(PRIOR, np.array([[True], [False]]), np.array([0.5])).core
-    np.testing.assert_array_equal(p[0], P[0] + np.diag([0, 0, 0.25]))
-    np.testing.assert_array_equal(p[1], P[1])
+def test_unknowns_get_their_prior_spread_again_but_for_frozen_ones() -> None:
+    correlated = np.array([[1.0, 0.2, 0.3], [0.2, 2.0, 0.1], [0.3, 0.1, 3.0]])
+    frozen = np.diag([1.0, 2.0, 0.0])
+    prior = PRIOR._replace(core=GaussianState(X, np.stack([correlated, frozen])))
+    x, p = with_prior_unknowns(prior, np.array([0.5])).core
+    np.testing.assert_array_equal(p[0], [[1.0, 0.2, 0.0], [0.2, 2.0, 0.0], [0.0, 0.0, 0.25]])
+    np.testing.assert_array_equal(p[1], frozen)
     np.testing.assert_array_equal(x, X)
-    np.testing.assert_array_equal(P[0], np.diag([1.0, 2.0, 3.0]))  # the prior itself is not changed
+    assert correlated[0, 2] == 0.3  # the prior itself is not changed

@@ -19,7 +19,7 @@ from fusion_sfdia.core.detector import Decision, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.saved_detectors import load_detector, save_detector
 from fusion_sfdia.core.storage import load_state, save_state
-from fusion_sfdia.kalman_banks import robust_bank, robust_memory
+from fusion_sfdia.kalman_banks import reading_noise, robust_bank, robust_memory
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.kalman_banks.robust_bank import QUIET_SHARE, RobustBank
 
@@ -105,8 +105,15 @@ def test_verdicts_on_healthy_runs_stay_within_both_budgets() -> None:
 # The filter and its statistics
 
 
-def test_with_nothing_declared_the_filter_and_the_sample_are_those_of_the_leave_one_out_bank() -> None:
-    """Residual over threshold of a sensor is at least that of its sample, and that one unless a window exceeds it."""
+def test_with_nothing_declared_the_filter_and_the_sample_are_those_of_the_leave_one_out_bank(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Residual over threshold of a sensor is at least that of its sample, and that one unless a window exceeds it.
+
+    As long as no reading is clipped and no noise is larger than stated.
+    """
+    monkeypatch.setattr(reading_noise, "CLIP", np.inf)
+    monkeypatch.setattr(reading_noise, "LARGER", np.inf)
     plant, false_alarm = chain(4, sensors=7), 0.01
     _, _, y, _ = readings(plant, 200, 10, seed=4)
     y = y.copy()
@@ -145,7 +152,7 @@ def test_a_large_bias_is_isolated_exactly(size: float) -> None:
     y[80:140, :, 2] += size
     found = diagnosed(RobustBank(PLANT), y)
     faulty = faults(200, (2, 80, 140))
-    assert exact(found, faulty)[80:140].mean() > 0.995  # less false alarms
+    assert exact(found, faulty)[84:140].mean() > 0.995  # less false alarms; from the second sample on, or the fourth
     assert exact(found, faulty)[150:].mean() > 0.98  # readmitted
     assert found.process is not None and not found.process.any()
     inside = found.fault_size[100:140, :, 2]
@@ -169,17 +176,18 @@ def test_two_faults_are_isolated_while_both_last() -> None:
     y[80:180, :, 5] += 10.0
     y[120:220, :, 1] -= 10.0
     found, faulty = diagnosed(RobustBank(PLANT), y), faults(260, (5, 80, 180), (1, 120, 220))
-    assert exact(found, faulty)[80:180].mean() > 0.99
+    assert exact(found, faulty)[np.r_[84:120, 124:180]].mean() > 0.99
     assert exact(found, faulty)[190:220].mean() > 0.95  # after the end of one: a readmission may take longer in 1 run of 40
 
 
-def test_two_faults_that_begin_together_are_isolated_in_their_first_sample() -> None:
-    """Of opposite signs on sensors that read one state both: 12 sigma against thresholds of 4."""
+def test_two_faults_that_begin_together_are_isolated_after_a_few_samples() -> None:
+    """Of opposite signs on sensors that read one state both: 12 sigma against thresholds of 4; a single reading is no fault."""
     _, y = drawn(120, 100, seed=20)
     y[80:, :, 5] += 12.0
     y[80:, :, 1] -= 12.0
     found, faulty = diagnosed(RobustBank(PLANT), y), faults(120, (5, 80, 120), (1, 80, 120))
-    assert exact(found, faulty)[80].mean() > 0.95 and exact(found, faulty)[85:].mean() > 0.98
+    assert not found.isolated[80].any()
+    assert exact(found, faulty)[85:].mean() > 0.98
 
 
 def test_a_frozen_sensor_is_isolated_and_readmitted_when_it_moves() -> None:
@@ -195,14 +203,14 @@ def test_a_frozen_sensor_is_isolated_and_readmitted_when_it_moves() -> None:
 @pytest.mark.parametrize("most", [1, 2, None])
 def test_no_more_sensors_are_left_out_than_allowed(most: int | None) -> None:
     """All of them are frozen, some with a fault; the first that fit are left out and `capped` reports the others."""
-    _, y = drawn(120, 4, seed=11)
-    y[40:] = y[40]
-    y[60:, 1, 2] += 30.0
-    y[39:, 2, :3] += 30.0
+    _, y = drawn(180, 4, seed=11)
+    y[100:] = y[100]
+    y[120:, 1, 2] += 30.0
+    y[99:, 2, :3] += 30.0
     bank = RobustBank(PLANT, max_faults=most)
     found = diagnosed(bank, y)
     assert np.all(found.isolated.sum(axis=-1) <= bank.most_faults)
-    assert np.all(found.isolated[60:].sum(axis=-1) == bank.most_faults) and found.capped[60:].all()
+    assert np.all(found.isolated[120:].sum(axis=-1) == bank.most_faults) and found.capped[120:].all()
 
 
 # Differences of the plant
@@ -218,7 +226,7 @@ def test_a_jump_of_a_parameter_is_a_difference_of_the_process_and_sensors_stay_m
     other = np.delete(found.process, 0, axis=-1)
     assert other.any(axis=(0, 2)).mean() < 0.2
     assert found.isolated[:260].mean() < 1e-3  # no sensor is isolated for it
-    assert exact(found, faulty)[262:320].mean() > 0.99 and exact(found, faulty)[330:].mean() > 0.98
+    assert exact(found, faulty)[264:320].mean() > 0.99 and exact(found, faulty)[330:].mean() > 0.98
     # the size is the load above its nominal value of 0; runs are independent
     for k in (160, 250, 359):
         error = (found.process_size[k, :, 0] - z[k, :, LOAD]) / found.process_sd[k, :, 0]
@@ -348,7 +356,7 @@ def test_missing_readings_are_not_judged_and_do_not_hinder_the_others() -> None:
     y[180:185] = np.nan
     found, faulty = diagnosed(RobustBank(PLANT), y, covariance=True), faults(240, (4, 100, 160))
     assert np.isnan(found.residual[np.isnan(y)]).all() and np.isfinite(found.residual[np.isfinite(y)]).all()
-    assert exact(found, faulty)[101:160].mean() > 0.99 and exact(found, faulty)[170:].mean() > 0.98
+    assert exact(found, faulty)[104:160].mean() > 0.99 and exact(found, faulty)[170:].mean() > 0.98
     assert np.isfinite(found.reconstruction).all() and np.isfinite(found.estimate).all() and not found.diverged.any()
     assert found.probability is not None and not found.probability[180:185, :, :N].any()  # no reading, no evidence of sensors
 
@@ -386,7 +394,7 @@ def test_what_changes_slowly_is_a_ramp_or_drift_of_its_slope(of: str, monkeypatc
 
     gathered = robust_bank.gathered
     monkeypatch.setattr(robust_bank, "gathered", recorded)
-    slope = 0.15 if of == "sensor" else 0.01
+    slope = 0.045 if of == "sensor" else 0.01  # of a sensor at most 3 sigma, from which on readings are clipped
     steady = {k: slope * np.eye(6)[LOAD] for k in range(100, 164)} if of == "process" else None
     _, y = drawn(164, 40, seed=21, jumps=steady)
     if of == "sensor":

@@ -121,12 +121,5 @@ def test_a_rival_is_watched_and_accepted_once_it_differs() -> None:
     assert not later.accepted.any()
 
 
-def test_what_is_known_may_be_reopened_once_for_each_verdict() -> None:
-    now = standing(0)._replace(reopened=np.array(True))
-    assert followed(now, np.array([9.0, 0.0]), np.ones(ADDED)).reopened
-    assert with_accepted(now, NONE, NONE, np.ones(ADDED), SIZE, SD).reopened
-    assert not with_accepted(now, which(3), NONE, np.ones(ADDED), SIZE, SD).reopened
-
-
 def test_a_frozen_state_that_has_not_moved_does_not_stand() -> None:
     assert not followed(standing(0), np.array([1.0, -2.0]), np.zeros(ADDED)).accepted.any()  # variance 0

@@ -1,0 +1,236 @@
+"""The noise that readings show while a filter runs: its size, its correlation from sample to sample, and single outliers.
+
+Of each sensor e = u / sqrt(w), the leave-one-out innovation over its stated standard deviation, is white with variance 1 where
+the model and the stated noise are right. Three things are followed, all so that a fault moves them little:
+
+    size          ln kappa <- ln kappa +- STEP, + where e^2 > .455 kappa, the median of chi-square (Robbins and Monro 1951);
+                  what all sensors have in common is followed faster, as a fault of a sensor does not move it
+    correlation   q = 1 - mean of min((e_k - e_k-1)^2 / (2 kappa), CUT) / CUT_MEAN: a lasting fault changes one difference
+    clipping      readings count as if |e| were CLIP at most, the worst first
+
+A sum over n samples of noise with the correlation q from each sample to the next varies
+
+    c(n, q) = 1 + 2 sum_{k=1}^{n-1} (1 - k/n) q^k = (1 + q) / (1 - q) - 2 q (1 - q^n) / (n (1 - q)^2)
+
+times as much as one of white noise. The statistics of windows are divided by it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammainc
+
+from fusion_sfdia.core.equation import compiled, part
+from fusion_sfdia.kalman_banks import bank_kernels
+from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut
+from fusion_sfdia.kalman_banks.likelihood_window import Inflation
+
+Array = NDArray[Any]
+
+STEP, FIRST = 0.025, 4.0  # of ln kappa in a sample, and 1 / (FIRST + k) in the k-th where that is more
+TOGETHER = 0.2  # of what all sensors have in common, where all are on one side
+MEDIAN = 0.45493642311957283  # of chi-square with 1 degree of freedom
+LARGER = 0.5  # ln kappa above which the filter's noise is enlarged, too; below it the difference may be chance
+MOST = 6.0  # |ln kappa|
+FADE = 1 - 1 / 32  # of `spread` in a sample: windows still have sums from before the filter's noise was enlarged
+CLIP = 3.0  # standard deviations
+CUT = 4.0  # of half the squared difference of neighbours
+CUT_MEAN = float(gammainc(1.5, CUT / 2) + CUT * (1 - gammainc(0.5, CUT / 2)))  # of min(chi-square, CUT)
+OWN, ALL = 128.0, 24.0  # samples in the running means of a sensor, and of all together
+SUPPOSED, WEIGHT = 0.8, 8.0  # correlation before any reading, and the samples that it counts for
+CHANCE = 0.2  # correlation of a sensor alone that counts: about two standard errors of OWN samples
+HIGHEST = 0.98  # correlation
+
+
+class ReadingNoise(NamedTuple):
+    """What is known of the noise: ln kappa (..., N), the last e (..., N), NaN before, running means of the cut differences.
+
+    common (...): the part of ln kappa that all sensors have. spread (..., N): what kappa has been lately, where the filter did
+    not take it into account. own (..., N): of each sensor, every (...): of all; samples (...): samples in these means.
+    """
+
+    size: Array
+    common: Array
+    spread: Array
+    last: Array
+    own: Array
+    every: Array
+    samples: Array
+
+
+def nothing_shown(batch: tuple[int, ...], sensors: int) -> ReadingNoise:
+    """Before the first readings noise is supposed to be of the stated size and correlated by SUPPOSED."""
+    shape, supposed = (*batch, sensors), (1 - SUPPOSED) * CUT_MEAN
+    return ReadingNoise(
+        np.zeros(shape),
+        np.zeros(batch),
+        np.ones(shape),
+        np.full(shape, np.nan),
+        np.full(shape, CUT_MEAN),
+        np.full(batch, supposed),
+        np.full(batch, WEIGHT),
+    )
+
+
+def learnt(now: ReadingNoise, found: LeaveOneOut, where: Array) -> ReadingNoise:
+    """With the readings of a sample, in runs `where` (...) holds; sensors that are not used keep what is known of them."""
+    batch = where.shape
+    given = [bank_kernels.runs(v, batch) for v in (found.whitened, found.weight, found.used, where)]
+    after = _learnt(*given, *(np.array(bank_kernels.runs(v, batch)) for v in now))
+    return ReadingNoise(*(a.reshape(v.shape) for a, v in zip(after, now, strict=True)))
+
+
+@compiled
+def _learnt(
+    u: Array, w: Array, used: Array, where: Array, size: Array, common: Array, spread: Array, last: Array, own: Array,
+    every: Array, samples: Array,
+) -> tuple[Array, Array, Array, Array, Array, Array, Array]:  # fmt: skip
+    """The same of B runs; what is known is written to."""
+    B, N = u.shape
+    side = np.empty(N)
+    for r in range(B):
+        if where[r]:
+            moves = max(STEP, 1 / (FIRST + samples[r] - WEIGHT))
+            samples[r] += 1
+            total, number, mean, differences = 0.0, 0, 0.0, 0
+            for i in range(N):
+                side[i] = 0.0
+                if used[r, i]:
+                    e, kappa = u[r, i] / np.sqrt(w[r, i]), np.exp(size[r, i])
+                    side[i] = 1.0 if e * e > MEDIAN * kappa else -1.0
+                    total += side[i]
+                    number += 1
+                    if np.isfinite(last[r, i]):
+                        difference = min((e - last[r, i]) ** 2 / (2 * kappa), CUT)
+                        own[r, i] += (difference - own[r, i]) / min(samples[r], OWN)
+                        mean += difference
+                        differences += 1
+                    last[r, i] = e
+            before = common[r]
+            common[r] = min(max(common[r] + TOGETHER * total / max(number, 1), -MOST), MOST)
+            if differences:
+                every[r] += (mean / differences - every[r]) / min(samples[r], ALL)
+            for i in range(N):
+                size[r, i] = min(max(size[r, i] + common[r] - before + moves * side[i], -MOST), MOST)
+                unseen = np.exp(size[r, i]) if size[r, i] <= LARGER else 1.0
+                spread[r, i] = max(FADE * spread[r, i], unseen, 1.0)
+    return size, common, spread, last, own, every, samples
+
+
+def is_larger(now: ReadingNoise) -> Array:
+    """Whether the noise of a sensor (..., N) is clearly larger than stated."""
+    return np.asarray(now.size > LARGER)
+
+
+def inflation_of(now: ReadingNoise, age: Array) -> Inflation:
+    """By how much the sums over windows of that age (..., L) vary more than those of white noise.
+
+    By the correlation of all sensors together, and the median of what their variances are over the stated ones; of each sensor
+    by its own, where that is more.
+    """
+    batch = age.shape[:-1]
+    given = [bank_kernels.runs(v, batch) for v in (age, now.own, now.every, now.spread)]
+    common, own = _inflation(*given)
+    return Inflation(common.reshape(age.shape), own.reshape(*age.shape, own.shape[-1]))
+
+
+@part
+def inflation(n: float, q: float) -> float:
+    """c(n, q) of sums over n samples."""
+    found: float = (1 + q) / (1 - q) - 2 * q * (1 - q**n) / (n * (1 - q) ** 2)
+    return found
+
+
+@part
+def correlation(mean: float) -> float:
+    """q, from the mean of the cut differences."""
+    return min(max(1 - mean / CUT_MEAN, 0.0), HIGHEST)
+
+
+@compiled
+def _inflation(age: Array, own: Array, every: Array, spread: Array) -> tuple[Array, Array]:
+    """The same of B runs: common (B, L), own (B, L, N)."""
+    (B, L), N = age.shape, own.shape[1]
+    common, each = np.empty((B, L)), np.empty((B, L, N))
+    for r in range(B):
+        together = 0.0
+        for i in range(N):
+            together += correlation(own[r, i]) / N
+        together = max(together, correlation(every[r]))
+        usual = np.median(spread[r])
+        for l in range(L):  # noqa: E741
+            n = max(age[r, l], 1.0)
+            shared = inflation(n, together)
+            common[r, l] = shared * usual
+            for i in range(N):
+                q = correlation(own[r, i])
+                each[r, l, i] = (inflation(n, q) if q > max(together, CHANCE) else shared) * spread[r, i]
+    return common, each
+
+
+class Clipped(NamedTuple):
+    """The statistics of readings that are clipped, and by how much u is less than that of the readings themselves (..., N)."""
+
+    found: LeaveOneOut
+    less: Array
+
+
+def clipped(found: LeaveOneOut, variance: Array) -> Clipped:
+    """Readings with |e| at most CLIP sqrt(variance) (..., N), the worst clipped first, each at most once."""
+    if not (found.chi_square > CLIP**2 * variance).any():
+        return Clipped(found, np.zeros((1,) * found.used.ndim))
+    assert found.half is not None and found.scores is not None
+    batch = found.used.shape[:-1]
+    u, w, scores, limit = (bank_kernels.runs(v, batch) for v in (found.whitened, found.weight, found.scores, variance))
+    half = bank_kernels.runs(found.half[:1] if found.half.strides[0] == 0 else found.half, batch)
+    after, turned = _clipped(u, w, half, scores, CLIP * np.sqrt(limit))
+    after, turned = after.reshape(found.whitened.shape), turned.reshape(found.scores.shape)
+    return Clipped(replace(found, whitened=after, scores=turned), found.whitened - after)
+
+
+def unclipped(now: Clipped, found: LeaveOneOut, where: Array) -> Clipped:
+    """With the readings `found` themselves in the runs `where` (...) holds."""
+    if not where.any():
+        return now
+    chosen = where[..., None]
+    assert found.scores is not None and now.found.scores is not None
+    whitened = np.where(chosen, found.whitened, now.found.whitened)
+    scores = np.where(chosen, found.scores, now.found.scores)
+    return Clipped(replace(now.found, whitened=whitened, scores=scores), np.where(chosen, 0.0, now.less))
+
+
+@compiled
+def _clipped(u: Array, w: Array, half: Array, scores: Array, limit: Array) -> tuple[Array, Array]:
+    """Whitened u and scores U' d (B, N) of readings that are clipped; half U (B or 1, N, N), limit (B, N) of |e|."""
+    B, N = u.shape
+    after, turned = u.copy(), scores.copy()
+    done = np.empty(N, np.bool_)
+    for r in range(B):
+        U = half[r % half.shape[0]]
+        done[:] = False
+        for _ in range(N):
+            worst, most = -1, 0.0
+            for i in range(N):
+                if w[r, i] > 0 and not done[i]:
+                    over = abs(after[r, i]) / np.sqrt(w[r, i]) - limit[r, i]
+                    if over > most:
+                        worst, most = i, over
+            if worst < 0:
+                break
+            done[worst] = True
+            delta = most / np.sqrt(w[r, worst])
+            if after[r, worst] < 0:
+                delta = -delta
+            for j in range(N):
+                turned[r, j] -= U[worst, j] * delta
+            for i in range(N):
+                total = 0.0
+                for j in range(N):
+                    total += U[i, j] * U[worst, j]
+                if w[r, i] > 0:
+                    after[r, i] -= total * delta
+    return after, turned
