@@ -192,6 +192,16 @@ def chosen(decisions: Decision, times: Any) -> Decision:
     return _each(decisions, lambda name: getattr(decisions, name)[times])
 
 
+def of_run(decisions: Decision, b: int) -> Decision:
+    """The Decisions (time, batch, ...) of run b of a batch; what a method states once for all runs (time,) holds for each."""
+
+    def own(name: str) -> Array:
+        values: Array = getattr(decisions, name)
+        return values[:, b] if values.ndim > 1 else values
+
+    return _each(decisions, own)
+
+
 def _each(like: Decision, of: Callable[[str], Array]) -> Decision:
     """A Decision of what `of` gives for the name of each array that `like` has; what is the same at all times stays."""
     found = {f.name: getattr(like, f.name) for f in fields(Decision)}

@@ -213,10 +213,26 @@ def diagnose_run(
     alarm.
     """
     log = one_run(log)
-    t, y, u = log
     track, gaps = bridged(detector.plant, log)
     with threadpool_limits(1):  # of linear algebra: matrices are small, threads would wait for each other
         decisions = decided(detector, track, each, clock)
+    return concluded(detector, log, track, gaps, decisions, gap=gap, clock=clock, each=each, unread=unread)
+
+
+def concluded(
+    detector: Detector,
+    log: Log,
+    track: Track,
+    gaps: tuple[Gap, ...],
+    decisions: Decision,
+    *,
+    gap: int = 3,
+    clock: Clock = SECONDS,
+    each: Callable[[Sequence[int]], Iterable[int]] = iter,
+    unread: Collection[str] = (),
+) -> Diagnosis:
+    """The second half of `diagnose_run`: what the decisions on a log, bridged to a track with gaps, say together."""
+    t, y, u = log
     y = present(y, decisions)
     frozen = repeats(y)
     out = left_out(decisions.isolated[:, : y.shape[1]])
@@ -275,12 +291,17 @@ def _why(detector: Detector) -> str:
 def decided(
     detector: Detector, track: Track, each: Callable[[Sequence[int]], Iterable[int]], clock: Clock = SECONDS
 ) -> Decision:
-    """The Decisions at the samples of a log; a detector that has `steps` takes all of a run at once."""
-    if hasattr(detector, "steps"):
+    """The Decisions at the samples of a log; a detector that has `steps` takes all of a run at once.
+
+    The readings of a track may be of a batch of runs (S, B, N) with the same times, its inputs then (S, B, m); see
+    `core.detector.of_run`.
+    """
+    batch = track.y.shape[1:-1]
+    if hasattr(detector, "steps") and not batch:
         starts = np.flatnonzero(np.isfinite(track.begins))
         try:
             runs = [
-                detector.steps(detector.init((), float(track.begins[a])), track.t[a:b], track.y[a:b], track.u[a:b])[1]
+                detector.steps(detector.init(batch, float(track.begins[a])), track.t[a:b], track.y[a:b], track.u[a:b])[1]
                 for a, b in zip(starts, [*starts[1:], track.t.size], strict=True)
             ]
         except Exception as error:  # of the model, which may raise anything
@@ -290,7 +311,7 @@ def decided(
     state, blocks, found = None, [], []
     for s in each(range(track.t.size)):
         if state is None or np.isfinite(track.begins[s]):
-            state = detector.init((), float(track.begins[s]))
+            state = detector.init(batch, float(track.begins[s]))
         try:
             state, decision = detector.step(state, float(track.t[s]), track.y[s], track.u[s])
         except Exception as error:  # of the model, which may raise anything
@@ -361,4 +382,4 @@ def _warn(detector: Detector, log: Log, decisions: Decision, gaps: Sequence[Gap]
         if np.any(flags):
             remarks.append(f"the estimate {what} in {np.sum(flags)} of {t.size} samples, first at {first(flags)}; {cure}")
     for remark in remarks:
-        warnings.warn(remark, DiagnosisWarning, stacklevel=4)  # the caller of diagnose
+        warnings.warn(remark, DiagnosisWarning, stacklevel=5)  # the caller of diagnose

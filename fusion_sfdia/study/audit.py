@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from fusion_sfdia.core.detector import Detector
-from fusion_sfdia.evaluation.diagnose import DiagnosisWarning, diagnose_run
+from fusion_sfdia.core.detector import Decision, Detector, of_run
+from fusion_sfdia.core.gaps import Gap, Track, bridged
+from fusion_sfdia.evaluation.diagnose import DiagnosisWarning, concluded, decided
 from fusion_sfdia.evaluation.metrics import Estimate, proportion, rate_over_runs
 from fusion_sfdia.evaluation.results import Row, row_of
 from fusion_sfdia.experiments.workers import in_processes
-from fusion_sfdia.study.protocol import GROUPS, STEPS, Case, cases_for, trial
+from fusion_sfdia.study.protocol import GROUPS, STEPS, Case, Trial, cases_for, trial
 
 Array = NDArray[Any]
 
@@ -52,7 +53,8 @@ class Outcome(NamedTuple):
 class CaseResult(NamedTuple):
     """What a detector makes of a case over `runs` trials: shares of `KINDS` with 95 % intervals, and the median delay (rows).
 
-    at_end: trials in the last row of which a healthy sensor is isolated. left_out: why there are no trials, "" where there are.
+    at_end: trials in the last row of which a healthy sensor is isolated. absent: trials that are left out, left_out: why, ""
+    where none is.
     """
 
     case: Case
@@ -60,6 +62,7 @@ class CaseResult(NamedTuple):
     shares: dict[str, Estimate]
     delay: float
     at_end: int
+    absent: int
     left_out: str
 
     @property
@@ -68,18 +71,45 @@ class CaseResult(NamedTuple):
         return not self.shares["false"].value > SURVIVED
 
 
-def outcome(detector: Detector, case: Case, seed: int, steps: int = STEPS) -> Outcome:
-    """Diagnose the trial of a seed. ArithmeticError where its truth leaves the limits of the plant."""
-    plant = detector.plant
-    log, faulty, process = trial(plant, case, seed, steps)
+def outcomes(detector: Detector, case: Case, seeds: Sequence[int], steps: int = STEPS) -> tuple[list[Outcome], str]:
+    """Diagnose the trials of a case: the detector steps through all of them at once, then each is judged on its own.
+
+    The trials have the same times. A trial whose truth leaves the limits of the plant is left out, and the text says why.
+    """
+    trials, why = [], ""
+    for seed in seeds:
+        try:
+            trials.append(trial(detector.plant, case, seed, steps))
+        except ArithmeticError as error:
+            why = str(error)
+    if not trials:
+        return [], why
+    tracks = [bridged(detector.plant, made.log) for made in trials]
+    first = tracks[0][0]
+    batch = first._replace(
+        y=np.stack([track.y for track, _ in tracks], axis=1), u=np.stack([track.u for track, _ in tracks], axis=1)
+    )
     with warnings.catch_warnings(), threadpool_limits(1):
         warnings.simplefilter("ignore", DiagnosisWarning)
-        found = diagnose_run(detector, log)
-    decisions = found.decisions
+        together = decided(detector, batch, iter)
+        return [
+            judged_trial(detector, case, made, track, gaps, of_run(together, b))
+            for b, (made, (track, gaps)) in enumerate(zip(trials, tracks, strict=True))
+        ], why
+
+
+def judged_trial(
+    detector: Detector, case: Case, made: Trial, track: Track, gaps: tuple[Gap, ...], decisions: Decision
+) -> Outcome:
+    """What the decisions on a trial are worth; events, which take a second look at the readings, only where something is
+    isolated or the process is named.
+    """
+    plant, (log, faulty, process) = detector.plant, made
     isolated = decisions.isolated[:, : len(plant.sensors)]
     named, suspected = (
         np.zeros(len(faulty), bool) if held is None else held.any(axis=-1) for held in (decisions.process, decisions.suspect)
     )
+    events = concluded(detector, log, track, gaps, decisions).events if np.any(isolated) or np.any(named) else ()
 
     def faulty_between(start: float, end: float) -> set[str]:
         fails = np.any(faulty[(log.t >= start) & (log.t <= end)], axis=0)
@@ -102,7 +132,7 @@ def outcome(detector: Detector, case: Case, seed: int, steps: int = STEPS) -> Ou
         at_end=bool(false[-1]),
         events=tuple(
             (e.confidence, e.hypothesis in faulty_between(e.start, e.end))
-            for e in found.events
+            for e in events
             if e.kind == "sensor" and np.isfinite(e.confidence)
         ),
     )
@@ -116,13 +146,13 @@ def lasting(held: Array) -> Array:
     return found
 
 
-def result_of(case: Case, outcomes: Sequence[Outcome], left_out: str) -> CaseResult:
-    """The shares over the trials of a case."""
-    counts = np.array([o.counts for o in outcomes]).reshape(-1, len(KINDS))
-    rows, judged = (np.array([getattr(o, what) for o in outcomes], int) for what in ("rows", "judged"))
+def result_of(case: Case, seeds: int, found: Sequence[Outcome], left_out: str) -> CaseResult:
+    """The shares over the trials of a case, one of each seed but those that are left out."""
+    counts = np.array([o.counts for o in found]).reshape(-1, len(KINDS))
+    rows, judged = (np.array([getattr(o, what) for o in found], int) for what in ("rows", "judged"))
     shares = {kind: rate_over_runs(counts[:, k], judged if k else rows) for k, kind in enumerate(KINDS)}
-    delay = float(np.median([o.delay for o in outcomes])) if outcomes else np.nan
-    return CaseResult(case, len(outcomes), shares, delay, sum(o.at_end for o in outcomes), left_out)
+    delay = float(np.median([o.delay for o in found])) if found else np.nan
+    return CaseResult(case, len(found), shares, delay, sum(o.at_end for o in found), seeds - len(found), left_out)
 
 
 @dataclass(frozen=True)
@@ -179,7 +209,8 @@ def _cells(r: CaseResult) -> str:
     (p, low, high, _), *others = r.shares.values()
     right, undecided, wrong, missed = (f"{e.value:.2f}" for e in others)
     delay = f"{r.delay:.0f}" if np.isfinite(r.delay) else "-"
-    return f"{p:.2f} ({low:.2f}-{high:.2f})  {right}  {undecided:>6}  {wrong:>5}  {missed:>6}  {delay:>7}"
+    absent = f"  {r.absent} left out: {r.left_out}" if r.absent else ""
+    return f"{p:.2f} ({low:.2f}-{high:.2f})  {right}  {undecided:>6}  {wrong:>5}  {missed:>6}  {delay:>7}{absent}"
 
 
 class _Work(NamedTuple):
@@ -193,14 +224,8 @@ class _Work(NamedTuple):
 
 
 def _done(work: _Work) -> tuple[int, list[Outcome], str]:
-    """The outcomes of a case; why there is none, where the truth leaves the limits of the plant."""
-    detector, found, why = work.make(), [], ""
-    for seed in work.seeds:
-        try:
-            found.append(outcome(detector, work.case, seed, work.steps))
-        except ArithmeticError as error:
-            why = str(error)
-    return work.position, found, why
+    """The outcomes of a case, and why trials are left out."""
+    return work.position, *outcomes(work.make(), work.case, work.seeds, work.steps)
 
 
 def _itself(detector: Detector) -> Detector:
@@ -233,8 +258,8 @@ def audit(
     work = [_Work(make, i, case, tuple(seeds), steps) for i, case in enumerate(cases)]
     done = map(_done, work) if workers == 1 else in_processes(_done, work, workers)
     found = sorted(each(iter(done), len(work)), key=lambda one: one[0])
-    results = tuple(result_of(cases[i], outcomes, why) for i, outcomes, why in found)
-    events = np.array([event for _, outcomes, _ in found for o in outcomes for event in o.events], float).reshape(-1, 2)
+    results = tuple(result_of(cases[i], len(seeds), those, why) for i, those, why in found)
+    events = np.array([event for _, those, _ in found for o in those for event in o.events], float).reshape(-1, 2)
     stated, right = events[:, 0], events[:, 1] == 1
     reliability = tuple(
         (low, high, proportion(int(right[inside].sum()), int(inside.sum())))

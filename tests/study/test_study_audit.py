@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fusion_sfdia import LeaveOneOutBank, audit, check_plant, random_plant, registry, simulate, two_tanks
-from fusion_sfdia.study.audit import GRACE, KINDS, lasting, outcome
-from fusion_sfdia.study.protocol import CASES, Case, cases_for, trial
+from fusion_sfdia import LeaveOneOutBank, Plant, audit, check_plant, random_plant, registry, simulate, two_tanks
+from fusion_sfdia.study.audit import GRACE, KINDS, lasting, outcomes, result_of
+from fusion_sfdia.study.protocol import CASES, Case, Trial, cases_for, trial
 from fusion_sfdia.study.truths import Variation, declared, varied
 
 BY_NAME = {case.name: case for case in CASES}
@@ -52,9 +52,29 @@ def test_changes_of_the_process_begin_and_end_as_stated(profile: str, ends: int)
 def test_every_row_that_is_judged_has_one_kind() -> None:
     detector = registry.detector("robust-glr", two_tanks())
     for name in ("ar-0.95", "two-biases", "process-step"):
-        found = outcome(detector, BY_NAME[name], 1, 150)
+        (found,), _ = outcomes(detector, BY_NAME[name], (1,), 150)
         assert len(found.counts) == len(KINDS)
         assert sum(found.counts[1:]) == found.judged
+
+
+@pytest.mark.parametrize("name", ["robust-glr", "loo-glr", "limits"])
+def test_trials_that_are_run_together_have_the_outcomes_that_each_has_alone(name: str) -> None:
+    detector = registry.detector(name, two_tanks())
+    for case in ("ar-0.95", "two-biases", "process-step"):
+        together, _ = outcomes(detector, BY_NAME[case], (1, 2, 3), 120)
+        assert together == [outcomes(detector, BY_NAME[case], (seed,), 120)[0][0] for seed in (1, 2, 3)]
+
+
+def test_a_trial_outside_the_limits_of_the_plant_is_left_out_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    def limited(plant: Plant, case: Case, seed: int, steps: int) -> Trial:
+        if seed == 2:
+            raise FloatingPointError("level 1 is below 0")
+        return trial(plant, case, seed, steps)
+
+    monkeypatch.setattr("fusion_sfdia.study.audit.trial", limited)
+    found, why = outcomes(LeaveOneOutBank(two_tanks()), BY_NAME["bias-10"], (1, 2, 3), 120)
+    result = result_of(BY_NAME["bias-10"], 3, found, why)
+    assert (result.runs, result.absent, result.left_out) == (2, 1, "level 1 is below 0")
 
 
 def test_a_repair_is_given_some_rows() -> None:
