@@ -3,7 +3,8 @@
 Of each sensor e = u / sqrt(w), the leave-one-out innovation over its stated standard deviation, is white with variance 1 where
 the model and the stated noise are right. Three things are followed, all so that a fault moves them little:
 
-    size          ln kappa <- ln kappa +- STEP, + where e^2 > .455 kappa, the median of chi-square (Robbins and Monro 1951);
+    size          ln kappa <- ln kappa +- STEP, + where e^2 > .455 kappa, the median of chi-square (Robbins and Monro 1951),
+                  with kappa at most exp(LARGER), as what is above it enlarges the filter's noise;
                   what all sensors have in common is followed faster, as a fault of a sensor does not move it
     correlation   q = 1 - mean of min((e_k - e_k-1)^2 / (2 kappa), CUT) / CUT_MEAN: a lasting fault changes one difference
     clipping      readings count as if |e| were CLIP at most, the worst first
@@ -34,7 +35,7 @@ Array = NDArray[Any]
 STEP, FIRST = 0.025, 4.0  # of ln kappa in a sample, and 1 / (FIRST + k) in the k-th where that is more
 TOGETHER = 0.2  # of what all sensors have in common, where all are on one side
 MEDIAN = 0.45493642311957283  # of chi-square with 1 degree of freedom
-LARGER = 0.5  # ln kappa above which the filter's noise is enlarged, too; below it the difference may be chance
+LARGER = 0.5  # of ln kappa; by what is above it the filter's noise is enlarged, below it the difference may be chance
 MOST = 6.0  # |ln kappa|
 FADE = 1 - 1 / 32  # of `spread` in a sample: windows still have sums from before the filter's noise was enlarged
 CLIP = 3.0  # standard deviations
@@ -84,6 +85,12 @@ def learnt(now: ReadingNoise, found: LeaveOneOut, where: Array) -> ReadingNoise:
     return ReadingNoise(*(a.reshape(v.shape) for a, v in zip(after, now, strict=True)))
 
 
+@part
+def unseen(size: float) -> float:
+    """Variance of e, from ln kappa: that part of the noise which the filter does not take into account."""
+    return float(np.exp(min(size, LARGER)))
+
+
 @compiled
 def _learnt(
     u: Array, w: Array, used: Array, where: Array, size: Array, common: Array, spread: Array, last: Array, own: Array,
@@ -100,7 +107,7 @@ def _learnt(
             for i in range(N):
                 side[i] = 0.0
                 if used[r, i]:
-                    e, kappa = u[r, i] / np.sqrt(w[r, i]), np.exp(size[r, i])
+                    e, kappa = u[r, i] / np.sqrt(w[r, i]), unseen(size[r, i])
                     side[i] = 1.0 if e * e > MEDIAN * kappa else -1.0
                     total += side[i]
                     number += 1
@@ -116,8 +123,7 @@ def _learnt(
                 every[r] += (mean / differences - every[r]) / min(samples[r], ALL)
             for i in range(N):
                 size[r, i] = min(max(size[r, i] + common[r] - before + moves * side[i], -MOST), MOST)
-                unseen = np.exp(size[r, i]) if size[r, i] <= LARGER else 1.0
-                spread[r, i] = max(FADE * spread[r, i], unseen, 1.0)
+                spread[r, i] = max(FADE * spread[r, i], unseen(size[r, i]), 1.0)
     return size, common, spread, last, own, every, samples
 
 

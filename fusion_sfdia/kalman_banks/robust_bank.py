@@ -69,6 +69,7 @@ from fusion_sfdia.kalman_banks.parameter_walk import followed as walked
 from fusion_sfdia.kalman_banks.quiet import no_pairs, paired, too_quiet
 from fusion_sfdia.kalman_banks.reading_noise import (
     CLIP,
+    LARGER,
     ReadingNoise,
     clipped,
     inflation_of,
@@ -283,7 +284,7 @@ class RobustBank(ExcludingBank):
         if not larger.any():
             return joint
         S = np.array(joint.S)
-        np.einsum("...ii->...i", S)[...] += np.where(larger, np.exp(noise.size) - 1, 0.0) * self.plant.sensor_cov
+        np.einsum("...ii->...i", S)[...] += np.where(larger, np.exp(noise.size - LARGER) - 1, 0.0) * self.plant.sensor_cov
         return joint._replace(S=S, repeated=None)
 
     def _is_spike(self, tested: Tested, sensor: Array, found: LeaveOneOut) -> Array:

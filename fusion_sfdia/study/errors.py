@@ -132,6 +132,7 @@ class ReadingError:
 READING_ERRORS = (
     ReadingError("as-stated", "noise as the plant states it"),
     ReadingError("size-0.3", "standard deviation of 0.3 times the stated one", partial(white, size=0.3)),
+    ReadingError("size-3", "standard deviation of 3 times the stated one", partial(white, size=3.0)),
     ReadingError("variance-3", "variance of 3 times the stated one", partial(white, size=3.0**0.5)),
     ReadingError("changing-size", "standard deviation that goes to 3 times the stated one and back", of_changing_size),
     ReadingError("ar-0.5", "first-order autoregressive, 0.5 from row to row", partial(autoregressive, rho=(0.5,))),

@@ -12,7 +12,14 @@ from fusion_sfdia.core.random_streams import stream
 from fusion_sfdia.study.errors import READING_ERRORS, autoregressive, in_steps, moving_average, with_a_late_sensor, with_jitter
 
 LONG = 200_000
-SIZES = {"size-0.3": 0.09, "variance-3": 3.0, "changing-size": 4.5, "offsets": 1.0 + 1 / 3, "outliers": 1.0 + 0.01 * 100.0}
+SIZES = {
+    "size-0.3": 0.09,
+    "size-3": 9.0,
+    "variance-3": 3.0,
+    "changing-size": 4.5,
+    "offsets": 1.0 + 1 / 3,
+    "outliers": 1.0 + 0.01 * 100.0,
+}
 
 
 @pytest.mark.parametrize("error", READING_ERRORS, ids=lambda e: e.name)
