@@ -33,15 +33,15 @@ def tree(rows: Sequence[Row]) -> str:
 
     small, short = value("bias-3-sigma", "all", "auc"), value("bias-3-sigma", "2 samples", "auc")
     large = value("graded-10-sigma", "all", "exact_isolation")
-    wrong = robustness.summary(robustness.read_rows(robustness.NUMBERS), "robust-glr", comparison.PLANTS)[2]
+    wrong = robustness.summary(robustness.read_rows(robustness.NUMBERS), "robust-glr", comparison.PLANTS)[0]
     return "\n".join(
         (
             "- **No model, recordings only.**",
             f"  - The operation is in the recordings: exact isolation at 10 sigma {best(FROM_DATA, large)}.",
             f"  - It may leave them: false isolation, worst case, {best(FROM_DATA, false, least=True)}.",
             "- **A model.**",
-            "  - It may be wrong by more than the noise, or the process may fail: `robust-glr`, false isolation in the worst "
-            f"mismatch {' / '.join(f'{v:.2f}' for v in wrong)}.",
+            "  - It may be wrong by more than the noise, or the process may fail: `robust-glr`, false isolation under the "
+            f"worst error of readings, start or model {' / '.join(f'{v:.2f}' for v in wrong)}.",
             "  - It is right within the noise.",
             f"    - Faults that last, also small ones: AUC of 3 sigma {best(with_model, small)}.",
             f"    - Faults of two samples: AUC of 3 sigma {best(with_model, short)}.",

@@ -1,9 +1,9 @@
 """Fills the tables of the results pages and of the README: python docs/results/pages.py.
 
 People write a page but for its tables: what stands between `<!-- table: NAME -->` and `<!-- end -->` is made from
-comparison.csv and papers.csv, and a test makes it again. papers.csv holds the numbers of the papers' own experiments as they
-are shown: columns page, table, row, column, value, low, high, published; in LISTS `column` is the scenario, command or test
-that gives the number.
+comparison.csv, robustness.csv and papers.csv, and a test makes it again. papers.csv holds the numbers of the papers' own
+experiments as they are shown: columns page, table, row, column, value, low, high, published; in LISTS `column` is the
+scenario, command or test that gives the number.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ PUBLISHED = "published"  # the column of published values, in tables that have o
 
 # situation, detector, what it needs
 CHOICES = (
+    ("**the model may be wrong, or the process may fail**", "robust-glr", "model, and what is uncertain in it"),
     ("model error below the noise level; small, slow or large faults", "loo-glr", "model"),
     ("the same; large or very short faults", "loo-chi2", "model"),
     ("inputs (valves, loads, demand) not known well", "uio", "model"),
@@ -56,11 +57,15 @@ def choices(rows: Sequence[comparison.Row]) -> str:
         mismatch = " / ".join(short(comparison.worst(rows, p, detector, mismatch=True)) for p in comparison.PLANTS)
         lines.append(
             (
-                *(situation, f"`{detector}`", needs, values(detector, "bias-3-sigma", "auc")),
+                *(
+                    situation,
+                    f"`{detector}`" + " (default)" * (detector == robustness.DEFAULT),
+                    needs,
+                    values(detector, "bias-3-sigma", "auc"),
+                ),
                 *(values(detector, "graded-10-sigma", "exact_isolation"), mismatch),
             )
         )
-    lines.insert(0, doubting())
     header = (
         "situation",
         "detector",
@@ -70,19 +75,6 @@ def choices(rows: Sequence[comparison.Row]) -> str:
         "false isolation, model mismatch",
     )
     return comparison.table(header, lines)
-
-
-def doubting() -> tuple[str, ...]:
-    """The line of the detector for those who do not trust their model, from robustness.csv."""
-    detector = "robust-glr"
-    numbers = robustness.summary(robustness.read_rows(robustness.NUMBERS), detector, comparison.PLANTS)
-    cells = (" / ".join(f"{value:.2f}" for value in values) for values in numbers)
-    return (
-        "**the model may be wrong, or the process may fail**",
-        f"`{detector}` (default)",
-        "model, and what is uncertain in it",
-        *cells,
-    )
 
 
 def of_plant(rows: Sequence[comparison.Row], plant: str) -> str:
@@ -128,7 +120,8 @@ def of_papers(rows: Sequence[Mapping[str, str]]) -> str:
 def tables() -> dict[str, str]:
     """All tables by name."""
     rows = comparison.load(HERE / "comparison.csv")
-    found = {"choices": choices(rows), "findings": findings.findings(rows)} | {
+    trust = robustness.trust(robustness.read_rows(robustness.NUMBERS))
+    found = {"choices": choices(rows), "findings": findings.findings(rows), "trust": trust} | {
         f"comparison-{plant}": of_plant(rows, plant) for plant in comparison.PLANTS
     }
     with (HERE / "papers.csv").open(encoding="utf-8", newline="") as file:

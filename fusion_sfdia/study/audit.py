@@ -30,6 +30,7 @@ SURVIVED = 0.02  # largest share of rows in which a healthy sensor is isolated
 
 KINDS = ("false", "right", "undecided", "wrong", "missed")
 METRICS = {"false": "false_isolation_probability", **{k: f"{k}_verdict_probability" for k in KINDS[1:]}}  # in results files
+DELAY, RIGHT_EVENT = "median_delay_rows", "right_event_probability"
 
 
 class Outcome(NamedTuple):
@@ -115,12 +116,11 @@ def judged_trial(
         fails = np.any(faulty[(log.t >= start) & (log.t <= end)], axis=0)
         return {plant.sensor_names[i] for i in np.flatnonzero(fails)}
 
-    model_is_off = bool(case.off or case.undeclared)  # then a verdict on the process is as right as none
     cause = faulty.any(axis=-1) | process
     judged = cause if cause.any() else np.ones(len(faulty), bool)
     false: Array = np.any(isolated & ~lasting(faulty), axis=-1)
-    wrong = false | (named & ~lasting(process) & (not model_is_off))
-    right = ~wrong & (isolated == faulty).all(axis=-1) & ((named == process) | model_is_off) & (cause | ~suspected)
+    wrong = false | (named & ~lasting(process) & (not case.model_is_off))
+    right = ~wrong & (isolated == faulty).all(axis=-1) & ((named == process) | case.model_is_off) & (cause | ~suspected)
     undecided = ~right & ~wrong & (suspected | decisions.diverged)
     judged_kinds = (right, undecided, wrong, ~(right | undecided | wrong))
     first = np.flatnonzero(right[judged])
@@ -174,9 +174,12 @@ class Audit:
         for r in self.results:
             of = partial(row_of, self.plant, "audit", self.detector, "none", r.case.group, condition=r.case.name)
             found += [of(metric=METRICS[kind], estimate=estimate) for kind, estimate in r.shares.items()]
+            found.append(
+                of(metric=DELAY, estimate=Estimate(r.delay if np.isfinite(r.delay) else np.nan, np.nan, np.nan, r.runs))
+            )
         for low, high, estimate in self.reliability:
             of = partial(row_of, self.plant, "audit", self.detector, "none", "all", condition=f"confidence {low:g} to {high:g}")
-            found.append(of(metric="right_event_probability", estimate=estimate))
+            found.append(of(metric=RIGHT_EVENT, estimate=estimate))
         return found
 
     def __str__(self) -> str:
@@ -238,6 +241,7 @@ def audit(
     seeds: Sequence[int] = range(8),
     steps: int = STEPS,
     groups: Sequence[str] = GROUPS,
+    more: Sequence[Case] = (),
     workers: int = 1,
     each: Callable[[Iterator[Any], int], Iterator[Any]] = lambda done, count: done,
     name: str = "",
@@ -245,8 +249,9 @@ def audit(
     """Run all cases that a plant can have, and judge what the detector says.
 
     detector: with its plant, or what makes it, in each process. seeds: of the trials of each case. steps: rows of a trial, at
-    least `FEWEST`. groups: of cases. workers: processes. each: wraps the cases as they are done, with their number, to show
-    progress. name: of the detector in the result. ValueError for settings that do not fit.
+    least `FEWEST`. groups: of cases. more: further cases, such as `stated_cases`. workers: processes. each: wraps the cases as
+    they are done, with their number, to show progress. name: of the detector in the result. ValueError for settings that do
+    not fit.
     """
     if steps < FEWEST or not seeds:
         raise ValueError(f"{steps} steps and {len(seeds)} seeds; expected at least {FEWEST} rows a trial and one seed")
@@ -254,7 +259,7 @@ def audit(
         raise ValueError(f"unknown group {unknown[0]!r}; known: {', '.join(GROUPS)}")
     make = partial(_itself, detector) if isinstance(detector, Detector) else detector
     made = make()
-    cases = cases_for(made.plant, groups)
+    cases = (*cases_for(made.plant, groups), *more)
     work = [_Work(make, i, case, tuple(seeds), steps) for i, case in enumerate(cases)]
     done = map(_done, work) if workers == 1 else in_processes(_done, work, workers)
     found = sorted(each(iter(done), len(work)), key=lambda one: one[0])

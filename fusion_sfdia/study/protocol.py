@@ -6,8 +6,9 @@ and last a third, so that a repair is seen, too; nothing else is chosen.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,9 +18,11 @@ from fusion_sfdia.core.covariance import diagonal
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import stream
+from fusion_sfdia.evaluation.case_readings import case_readings
+from fusion_sfdia.evaluation.cases import ComparisonCases, MismatchCase, ProcessFaultCase
 from fusion_sfdia.evaluation.fault_effects import apply_faults
 from fusion_sfdia.evaluation.faults import Fault
-from fusion_sfdia.evaluation.simulate import simulate
+from fusion_sfdia.evaluation.simulate import Recording, simulate
 from fusion_sfdia.study.errors import READING_ERRORS, ReadingError
 from fusion_sfdia.study.truths import Variation, declared, varied
 
@@ -31,6 +34,7 @@ CHANGE = 4.0  # standard deviations of a declared unknown: a process fault
 UNDECLARED = 0.05  # relative error of the rate of a state's equation
 AS_STATED = READING_ERRORS[0]
 GROUPS = ("readings", "start", "model", "cause")
+OF_PLANT = "plant"  # group of the cases that stand beside a plant
 
 
 @dataclass(frozen=True)
@@ -41,7 +45,8 @@ class Case:
     deviations of each state away. off: how many declared unknowns are `CORNER` standard deviations off throughout (-1: all).
     undeclared: relative error of the rate of one state. sensors: kind and size (sigma) of the fault of each sensor that fails.
     process: the profile of a change of one declared unknown by `CHANGE` standard deviations, "" for none; lead: rows by which
-    it begins before the sensors' faults.
+    it begins before the sensors' faults. stated: a mismatch case or a process fault that stands beside the plant, which then
+    gives the truth; a process fault lasts to the end.
     """
 
     group: str
@@ -54,6 +59,12 @@ class Case:
     sensors: tuple[tuple[str, float], ...] = ()
     process: str = ""
     lead: int = 0
+    stated: MismatchCase | ProcessFaultCase | None = None
+
+    @property
+    def model_is_off(self) -> bool:
+        """Whether the model differs from the truth throughout, so that a verdict on the process is as right as none."""
+        return bool(self.off or self.undeclared) or isinstance(self.stated, MismatchCase)
 
 
 BIAS = (("bias", 10.0),)
@@ -76,6 +87,14 @@ CASES = (
     *(Case("cause", f"process-then-bias-{k}", f"a step of a declared unknown, a bias of 10 sigma {k} rows later", sensors=BIAS,
            process="step", lead=k) for k in (0, 5, 30)),
 )  # fmt: skip
+
+
+def stated_cases(cases: ComparisonCases) -> tuple[Case, ...]:
+    """What stands beside a plant as cases of the group `OF_PLANT`: its mismatch without a fault, and its process faults."""
+    return (
+        *(Case(OF_PLANT, f"mismatch: {c.name}", f"mismatch: {c.why}", stated=c) for c in cases.mismatch),
+        *(Case(OF_PLANT, f"process fault: {c.name}", f"process fault: {c.why}", stated=c) for c in cases.process_faults),
+    )
 
 
 class Trial(NamedTuple):
@@ -121,7 +140,10 @@ def trial(plant: Plant, case: Case, seed: int, steps: int = STEPS) -> Trial:
         truth = varied(plant, variations, rates)
     elif case.start != "nominal":
         truth = "model"
-    made = simulate(plant, steps, [seed], truth=truth, start=_start(rng, plant, case.start))
+    if case.stated is None:
+        made = simulate(plant, steps, [seed], truth=truth, start=_start(rng, plant, case.start))
+    else:
+        made = _stated(plant, case.stated, steps, seed)
     signal, t = made.signal[:, 0], made.t
     y = case.readings.reading(rng, plant, signal, case.readings.noise(rng, signal.shape))
     faults = [
@@ -131,7 +153,23 @@ def trial(plant: Plant, case: Case, seed: int, steps: int = STEPS) -> Trial:
     found = apply_faults(plant, t, y, faults, rng)
     changes = [v for v in variations if v.profile != "constant"]
     process = np.array([any(v.at(k - plant.dt, plant.dt) != 0 for v in changes) for k in t.tolist()])
+    if isinstance(case.stated, ProcessFaultCase):
+        process |= t > float(t[steps // 3]) - plant.dt / 2
     return Trial(Log(t, found.y, made.u_of_runs[:, 0]), found.active, process)
+
+
+def _stated(plant: Plant, case: MismatchCase | ProcessFaultCase, steps: int, seed: int) -> Recording:
+    """The recording of a case that stands beside the plant: mismatch from the first row on, a process fault after a third."""
+    if isinstance(case, MismatchCase):
+        inputs = None if case.inputs is None else partial(_inputs_from_start, case.inputs)
+        return case_readings(plant, steps, [seed], truth=None if case.truth is None else case.truth(), inputs=inputs)
+    begin = (steps // 3 - 1e-6) * plant.dt  # with the last healthy reading, but for rounding
+    truth = None if case.truth is None else case.truth(begin)
+    return case_readings(plant, steps, [seed], truth=truth, lost=None if case.lost is None else (begin, case.lost))
+
+
+def _inputs_from_start(inputs: Callable[[float, float], Array], t: float) -> Array:
+    return inputs(t, 0.0)
 
 
 def _signed(rng: np.random.Generator, size: float) -> float:

@@ -41,9 +41,8 @@ FOLDERS: dict[str, set[str]] = {
     "experiments": {"core", "evaluation", "report", "models", "benchmarks"},  # of the last two their files alone
 }
 FOLDERS["scenarios"] = {"core", "registry", "experiments"}
-FOLDERS["study"] = {"core", "evaluation", "experiments"}
 FOLDERS["comparison"] = {*FOLDERS} - {"intervals", *SCHOOLS}
-FOLDERS["robustness"] = {*FOLDERS} - {"intervals", *SCHOOLS}
+FOLDERS["study"] = {"core", "evaluation", "experiments", "registry", "report", "comparison"}
 FOLDERS["benchmarks"] = {*FOLDERS}
 FOLDERS["cli"] = {*FOLDERS}
 ROOT = Path(__file__).resolve().parents[2]
@@ -104,7 +103,7 @@ def test_a_module_has_one_name(name: str) -> None:
 
 def test_numerics_do_not_draw() -> None:
     for name, path in MODULES.items():
-        if name.partition(".")[0] not in ("report", "experiments", "comparison", "robustness", "benchmarks", "cli"):
+        if name.partition(".")[0] not in ("report", "experiments", "comparison", "benchmarks", "cli"):
             drawing = {n for n in imports(path) if n.split(".")[0] in ("matplotlib", "rich", "jinja2")}
             assert not drawing, f"{name} imports {drawing}"
 

@@ -11,9 +11,8 @@ from fusion_sfdia import registry
 from fusion_sfdia.comparison.protocol import SETTINGS, mismatch_cases
 from fusion_sfdia.comparison.recordings import mismatched, simulated
 from fusion_sfdia.comparison.subjects import cases_of, compared_plant, plant_of
+from fusion_sfdia.core.uncertainty import equation_of, error_of
 from fusion_sfdia.kalman_banks.hypotheses import Hypotheses
-from fusion_sfdia.robustness.material import logged
-from fusion_sfdia.robustness.rows import equations_of, names_of
 
 PLANTS = [name for name, entry in registry.plants().items() if entry.cases]
 STEPS, START = 12, 6  # samples
@@ -35,9 +34,9 @@ def test_what_a_right_verdict_names_is_a_hypothesis_about_the_process(plant: str
     hypotheses = {h.name for h in Hypotheses(registry.plant(plant)).process}
     for case in cases_of(compared_plant(plant)).process_faults:
         for name in case.named:
-            one = case._replace(named=(name,))
-            called = {*names_of(one), *equations_of(one)}
-            assert hypotheses & called, f"{plant}, {case.name}: nothing is called after {name}"
+            assert hypotheses & {name, error_of(name), equation_of(name)}, (
+                f"{plant}, {case.name}: nothing is called after {name}"
+            )
 
 
 @pytest.mark.parametrize("plant", PLANTS)
@@ -59,18 +58,6 @@ def test_every_unseen_case_changes_what_is_read(plant: str) -> None:
         other = mismatched(of, case, STEPS, (0, 1), START * plant_of(of).dt)
         assert np.isfinite(other.y).all() and other.y.shape == usual.y.shape
         assert np.any(other.signal != usual.signal) or np.any(other.u != usual.u), case.name
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("plant", PLANTS)
-def test_a_healthy_log_is_that_of_the_plant_in_the_usual_operation(plant: str) -> None:
-    """A case that is another operation has no log of its own."""
-    of = compared_plant(plant)
-    for case in cases_of(of).mismatch:
-        make = logged(of, case.name)
-        assert (make is None) == (case.truth is None), case.name
-        if make is not None:
-            assert make().sensor_names == plant_of(of).sensor_names
 
 
 @pytest.mark.parametrize("plant", PLANTS)
