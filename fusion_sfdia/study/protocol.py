@@ -122,7 +122,7 @@ def trial(plant: Plant, case: Case, seed: int, steps: int = STEPS) -> Trial:
     """The readings of a case on a plant; the same for the same seed. ArithmeticError where the truth leaves its limits.
 
     They come from the high-fidelity model of the plant, where it has one, unless parameters, equations or the start differ:
-    these are of the plant itself.
+    these are of the plant itself. Process noise acts where the plant states that it acts on the real one (`Truth.disturbed`).
     """
     rng = stream(seed, "study", case.name)
     length = steps // 3 * plant.dt
@@ -141,7 +141,9 @@ def trial(plant: Plant, case: Case, seed: int, steps: int = STEPS) -> Trial:
     elif case.start != "nominal":
         truth = "model"
     if case.stated is None:
-        made = simulate(plant, steps, [seed], truth=truth, start=_start(rng, plant, case.start))
+        made = simulate(
+            plant, steps, [seed], truth=truth, process_noise=plant.truth.disturbed, start=_start(rng, plant, case.start)
+        )
     else:
         made = _stated(plant, case.stated, steps, seed)
     signal, t = made.signal[:, 0], made.t
