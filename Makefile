@@ -17,7 +17,7 @@ BENCH_ARGS ?=
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: env demo test test-long test-kernels test-lowest check lint format notebooks docs links bench wheel clean
+.PHONY: env demo test test-long test-kernels test-lowest mutants check lint format notebooks docs links bench wheel clean
 
 env: $(DEV)
 
@@ -64,6 +64,12 @@ $(LOWEST)/.made: pyproject.toml $(DEV)
 
 test-lowest: $(LOWEST)/.made
 	$(LOWEST)/bin/python -m pytest -n $(WORKERS) --dist worksteal -p no:cacheprovider -W ignore::DeprecationWarning $(LOWEST_TESTS)
+
+# small changes of the code, each of which one test has to notice: make mutants MUTANTS='kalman_banks quiet' tries some
+MUTANTS ?=
+
+mutants: $(DEV)
+	$(BIN)/python tests/mutants/run_mutants.py --workers $(WORKERS) $(MUTANTS)
 
 lint: $(DEV)
 	$(BIN)/ruff format --check .

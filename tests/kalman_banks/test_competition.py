@@ -117,6 +117,14 @@ def test_probabilities_are_those_of_bayes_rule_for_at_most_one_cause() -> None:
     np.testing.assert_allclose(found, weights / (1 + weights.sum()), rtol=rounding(1.0, 20))
 
 
+def test_before_any_reading_each_cause_is_true_once_in_a_thousand() -> None:
+    """Without evidence a thousandth for each, against nothing; a likelihood ratio of a thousand makes the odds even."""
+    prior = evidence([0.0, 0.0], [0.0]).probability
+    np.testing.assert_allclose(prior, 1e-3 / (1 + 3e-3), rtol=rounding(1.0, 20))
+    even = evidence([2 * np.log(1e3), NOTHING], [NOTHING]).probability
+    np.testing.assert_allclose(even, [0.5, 0.0, 0.0], rtol=rounding(1.0, 20))
+
+
 @pytest.mark.parametrize("level", [NOTHING, -50.0, 0.0, 30.0, 5000.0])
 def test_probabilities_add_up_to_at_most_one(level: float) -> None:
     rng = np.random.default_rng(0)
@@ -243,6 +251,13 @@ def test_a_sensor_is_absorbed_where_the_windows_know_more_of_it_than_the_sample(
     assert found.tolist() == [True, False, False]  # the last is not isolated
     unused = evidence([NOTHING, 1.0], [0.0], one_sample=[NOTHING, 0.0])
     assert not absorbed_before(unused, np.array([True, False]), np.array(0))
+
+
+@pytest.mark.parametrize(("odds", "earlier"), [(1.0, False), (2.0, False), (10.0, True), (1000.0, True)])
+def test_an_earlier_onset_is_preferred_where_it_is_clearly_the_likelier_one(odds: float, earlier: bool) -> None:
+    """Evidence is twice the logarithm of the odds: those of two to one may be chance, those of ten to one are not."""
+    now = evidence([[20.0 + 2 * np.log(odds), 0.0]], [[0.0]], one_sample=[[20.0, 0.0]])
+    assert absorbed_before(now, np.array([[True, False]]), np.array([0])).tolist() == [earlier]
 
 
 def test_a_lead_is_counted_while_the_fault_has_its_sign() -> None:

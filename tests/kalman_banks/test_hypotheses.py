@@ -25,6 +25,7 @@ from fusion_sfdia.kalman_banks.hypotheses import (
     Hypotheses,
     phi_1,
 )
+from fusion_sfdia.kalman_banks.likelihood_window import averaged
 from fusion_sfdia.models.two_tanks.plant import DISCHARGE, INFLOW, LEAK, SETTING
 
 Array = NDArray[Any]
@@ -120,6 +121,25 @@ def test_sizes_before_any_reading() -> None:
     assert slow.shape == (2, 2, 10)
     np.testing.assert_array_equal(slow[0, 0], recent[:10])
     np.testing.assert_allclose(slow[1, 1] * 10, recent[:10], rtol=4 * np.finfo(float).eps)
+
+
+def test_large_faults_lose_little_of_their_evidence_by_the_sizes_that_are_expected() -> None:
+    """Of one reading that is 20 sigma off at most a twentieth; of a process whose change is 3 times the usual one a tenth.
+
+    Averaged over sizes N(0, s^2) the evidence of c^2 is c^2 b / (1 + b) - ln(1 + b), with b the expected square over that of
+    the noise.
+    """
+    of = three()
+    of_sensors = (of.recent_sizes[:7] / of.plant.sensor_sigma) ** 2
+    assert np.all(averaged(np.full(7, 400.0), of_sensors) > 0.95 * 400.0)
+    usual = np.array([0.2, 0.1, 2.0])
+    known = (of.recent_sizes[7:10] / usual) ** 2
+    assert np.all(known / (1 + known) > 0.9)
+
+
+def test_a_cause_without_a_name_has_a_twentieth_of_the_odds_of_one_with_a_name() -> None:
+    of = three()
+    np.testing.assert_allclose(np.exp(-of.handicap / 2), [1.0] * 3 + [1 / 20] * 4, rtol=0.01)
 
 
 def test_a_frozen_parameter_has_its_standard_deviation_as_size() -> None:

@@ -34,6 +34,7 @@ from fusion_sfdia.kalman_banks.likelihood_window import (
     shifted,
     updated,
     weigh,
+    with_readings,
 )
 from fusion_sfdia.kalman_banks.window_step import last_update, no_update
 from fusion_sfdia.kalman_banks.window_step import window_step as step_in_common
@@ -475,6 +476,17 @@ def test_a_grid_spans_the_samples_it_states_at_steps_that_grow_with_their_distan
         assert (latest - 1) * coarsest <= age[-1] < latest * coarsest
         # between two onsets are at most `finest` samples, or the age of the older one over half of latest
         assert np.all(np.diff(age) <= np.maximum(finest, 2 * age[1:] / latest))
+
+
+def test_readings_that_are_more_add_their_product_with_the_change_of_the_innovation() -> None:
+    """a = sum M' u is linear in the whitened readings."""
+    rng = np.random.default_rng(25)
+    for slow in (False, True):
+        weighed, *_ = stepped(rng.standard_normal((12, 2, SENSORS)), Grid(5), slow)[-1]
+        more = rng.standard_normal((2, SENSORS))
+        expected = weighed.a + np.einsum("blnq,bn->blq", weighed.M, more)
+        near = rounding(1.0, 4 * (SENSORS + len(MODEL.states))) * np.abs(weighed.M).max() * np.abs(weighed.eta).max()
+        np.testing.assert_allclose(with_readings(weighed, more).a, expected, rtol=0, atol=max(near, 1e-12))
 
 
 def test_onsets_before_the_start_are_the_start() -> None:
