@@ -11,11 +11,11 @@ from fusion_sfdia.logs.columns import Source
 
 # what changes or questions the readings; the other kinds describe the log
 REMARKABLE = (
-    "bad", "duplicates", "future", "grid", "held", "input unit suspected", "inputs shifted", "left out", "masked",
-    "mixed units", "no date", "nominal inputs", "order", "period", "quality", "repeat", "resolution", "rows left out",
-    "short rows", "time unit suspected", "unit suspected", "zone",
+    "bad", "dates", "duplicates", "future", "grid", "held", "hour missing", "input unit suspected", "inputs shifted",
+    "left out", "masked", "mixed units", "no date", "nominal inputs", "order", "period", "quality", "repeat", "resolution",
+    "rows left out", "short rows", "time unit suspected", "unit suspected", "zone",
 )  # fmt: skip
-MISREAD = ("future", "time unit suspected")  # the times are not those of the log
+MISREAD = ("dates", "future", "hour missing", "time unit suspected")  # the times are not those of the log
 MOST_OF_A_KIND = 2
 
 

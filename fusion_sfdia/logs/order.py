@@ -52,6 +52,7 @@ def in_order(where: str, rows: Rows, clock: Clock, log_map: LogMap, findings: li
                 'rows, or state order = "sort" in a map'
             )
             problems.add("order", text, row=int(rows.rows[k]), column=column, count=back.size)
+        findings += stuck_dates(rows, clock)
         newest = back.size == np.count_nonzero(np.diff(rows.t)) and back.size > 1
         rows = rows.kept(np.argsort(rows.t, kind="stable"))
         text = "rows sorted by time" + (": the newest came first" if newest else f", {back.size} came after a later one")
@@ -137,6 +138,26 @@ def require_one_clock(where: str, rows: Rows, clock: Clock, log_map: LogMap) -> 
             else ""
         )
         raise ValueError(f"{at}; {cause}{joined}")
+
+
+def stuck_dates(rows: Rows, clock: Clock) -> list[Finding]:
+    """A finding on rows behind a midnight at which the date did not change, which sorting puts before those of the evening.
+
+    Parts of one day that were joined in another order follow each other once sorted; these leave most of a day between.
+    """
+    t, steps = rows.t, np.diff(rows.t)
+    if clock.start is None or not np.any(steps > 0):
+        return []
+    step = float(np.median(steps[steps > 0]))
+    bounds = np.concatenate([[0], np.flatnonzero(steps < 0) + 1, [t.size]])
+    for before, k, after in zip(bounds[:-2], bounds[1:-1], bounds[2:], strict=True):
+        if abs(float(t[k - 1] - t[k]) + step - DAY) <= step + 1.0 and t[before] - t[after - 1] > 2.0 * step:
+            text = (
+                f"{_at(clock, t[k])} in row {rows.rows[k]} after {_at(clock, t[k - 1])}: the date seems not to "
+                "change at midnight, and sorted by time the rows behind it come before: correct the dates from there on"
+            )
+            return [Finding("dates", "", int(after - k), text)]
+    return []
 
 
 def _cause(clock: Clock, t: float, back: float, step: float, hour: bool, log_map: LogMap) -> str:

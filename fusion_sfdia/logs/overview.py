@@ -33,11 +33,15 @@ def overview(plant: Plant, log: Log, times: Times, expected: Expected) -> list[F
     found += times.notes
     if clock.start is not None and clock.start.tzinfo is None:
         text = "the stamps state no time zone: state tz in a map, or an hour is wrong where clocks change"
+        found.append(Finding("zone", "", 0, text))
         for k in np.flatnonzero(np.abs(np.diff(t) - step - HOUR) <= min(0.6 * step + 1.0, 0.1 * HOUR)):
             if places := places_changing(clock.start + timedelta(seconds=float(t[k]) + step + 1.0), back=False):
-                text += f"; an hour is missing after {clock.at(float(t[k]))}, where summer time begins in {', '.join(places)}"
+                text = (
+                    f"an hour is missing after {clock.at(float(t[k]))}, where summer time begins in {', '.join(places)}: "
+                    f'state the zone of the logger in a map: tz = "{places[0]}", or tz = "UTC" if its clock does not change'
+                )
+                found.append(Finding("hour missing", "", 1, text))
                 break
-        found.append(Finding("zone", "", 0, text))
     found += suspected_times(plant, t, times, expected)
     gaps = np.flatnonzero(np.diff(t) > GAP * step)
     if gaps.size:

@@ -85,10 +85,31 @@ def test_a_logger_of_another_rule(tmp_path: Path) -> None:
 
 def test_an_hour_without_rows_where_summer_time_begins(tmp_path: Path) -> None:
     times = stamps(datetime(2024, 3, 31), "Europe/Berlin", 60.0, 120)
-    (text,) = (f.text for f in load(tmp_path, times).findings if f.kind == "zone")
+    found = load(tmp_path, times)
+    (text,) = (f.text for f in found.findings if f.kind == "hour missing")
     assert "an hour is missing after 2024-03-31 01:59:00, where summer time begins in Europe/Berlin" in text
+    assert found.misread and text in found.remarks
+    for tz, apart in (("Europe/Berlin", 60.0), ("UTC", 3660.0)):
+        stated = load(tmp_path, times, tz=tz)
+        assert not stated.misread and np.max(np.diff(stated.log.t)) == apart
     other_day = [t.replace("03-31", "03-30") for t in times]
     assert not any("an hour is missing" in f.text for f in load(tmp_path, other_day).findings)
+
+
+@pytest.mark.parametrize("step", [30.0, 300.0])
+def test_sorting_says_where_the_date_did_not_change_at_midnight(tmp_path: Path, step: float) -> None:
+    evening, count = datetime(2023, 11, 6, 21, 10), int(6 * 3600 / step)
+    moments = [evening + timedelta(seconds=step * k) for k in range(count)]
+    times = [f"2023-11-06 {m:%H:%M:%S}" for m in moments]
+    with pytest.raises(ValueError, match="the date does not change at midnight: correct the dates"):
+        load(tmp_path, times)
+    found = load(tmp_path, times, order="sort")
+    (text,) = (f.text for f in found.findings if f.kind == "dates")
+    first = int(170 * 60 / step)
+    assert f"2023-11-06 00:00:00 in row {first + 2} after" in text and "the date seems not to change at midnight" in text
+    assert found.misread and text in found.remarks
+    day = [f"2023-11-06 {m:%H:%M:%S}" for m in (evening + timedelta(seconds=step * k) for k in range(int(86400 / step)))]
+    assert not load(tmp_path, day, order="sort").misread  # parts of one day, joined in another order
 
 
 @pytest.mark.parametrize("order", ["refuse", "sort"])
