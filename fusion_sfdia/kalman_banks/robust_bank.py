@@ -198,6 +198,7 @@ class RobustBank(ExcludingBank):
         if of.added and now.k in LEARNT_AGAIN:
             prior = with_prior_unknowns(prior, of.sd)
         joint = self._joint(prior, noise, now, u)
+        y = self.plant.near(y, joint.y)
         usable = np.isfinite(y) & ~exclusion.out
         spread = noise.spread
         everything = statistics(joint, y, usable)
@@ -207,6 +208,7 @@ class RobustBank(ExcludingBank):
         weighed = self._weigh(windows, prior.tangent, step, now.k)
         inflations = tuple(inflation_of(noise, w.age) for w in weighed)
         tested, evidence = self._compete(weighed, inflations, counted.found, handicap)
+        of_whole = evidence
         if counted.less.any():  # of a fault of the process, it may be
             other, of_whole = self._compete(
                 tuple(with_readings(w, counted.less) for w in weighed), inflations, everything, handicap
@@ -218,16 +220,17 @@ class RobustBank(ExcludingBank):
         isolated, capped = np.zeros(y.shape, bool), none
         if (everything.chi_square > limits.one * spread).any():
             present = Present(tested.recent.changes(slice(0, 1), count)[..., 0, :, :], of.recent_sizes, handicap)
-            isolated, capped = eliminated(everything, evidence, present, limits, room)
+            isolated, capped = eliminated(everything, of_whole, present, limits, room)
         by_windows = accepted(evidence, limits, np.asarray(~isolated.any(axis=-1)) & (not begins))
-        used, found, led, leads = everything, counted.found, np.zeros(led.shape), led
+        used, found, leads = everything, counted.found, led
+        led = np.where(usable, 0.0, leads)  # a sensor that has no reading now keeps its lead
         process, restart = by_windows.is_process, none
         waits = np.zeros(y.shape, bool)
         if isolated.any() or by_windows.is_sensor.any() or process.any():
             capped = capped | (by_windows.is_sensor & (room < 1))
             sensor, lately = by_windows.is_sensor & (room > 0), stands & (standing.since <= LATELY)
             spike = sensor & self._is_spike(tested, by_windows.sensor, everything)
-            led = led_by(leads, isolated, np.where(isolated, everything.innovation, 0.0))
+            led = np.where(usable, led_by(leads, isolated, np.where(isolated, everything.innovation, 0.0)), leads)
             waits = isolated & (np.abs(led) < np.where(lately, PERSISTENT, TWICE)[..., None])
             isolated = (isolated & ~waits) | ((sensor & ~spike)[..., None] & one_hot(by_windows.sensor, count))
             freed = absorbed_before(evidence, isolated, by_windows.sensor) | spike
@@ -275,6 +278,7 @@ class RobustBank(ExcludingBank):
             noise, walk,
         )  # fmt: skip
         undecided = (decision.score > 1) & ~decision.isolated.any(axis=-1) & ~process
+        evidence = of_runs(isolated.any(axis=-1), of_whole, evidence)
         return memory, self._with_process(decision, evidence, standing, undecided, (x[..., own], variance))
 
     def _joint(self, prior: Prior, noise: ReadingNoise, now: TimeStep, u: Array) -> Joint:
