@@ -116,13 +116,14 @@ class Present(NamedTuple):
 def eliminated(found: LeaveOneOut, evidence: Evidence, present: Present, limits: Limits, room: Array) -> tuple[Array, Array]:
     """Eliminate the worst sensor of the present sample while it explains the sample better than the process does.
 
-    The first sensor competes by all its evidence, each further one by the readings that are left, with process hypotheses that
-    begin now. room (...): sensors that may still be left out. Return the eliminated sensors (..., N), and whether another is
+    The first sensor competes by all its evidence, also with process hypotheses that begin now, each further one by the readings
+    that are left, with these alone. room (...): sensors that may still be left out. Return the eliminated sensors (..., N), and whether another is
     above the limit (...).
     """
     count = found.used.shape[-1]
     isolated = np.zeros(found.used.shape, bool)
-    of_sensors, of_process = evidence.of_sensors, evidence.best_process
+    of_sensors = evidence.of_sensors
+    of_process = np.maximum(evidence.best_process, _beginning_now(found, present))
     while True:
         chi_square = found.chi_square
         worst = np.argmax(chi_square, axis=-1)

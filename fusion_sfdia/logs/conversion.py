@@ -109,7 +109,10 @@ def _between(source: Reading, wanted: Reading) -> Conversion | None:
 
     try:
         zero, one, two = value(0.0), value(1.0), value(2.0)
-    except pint.DimensionalityError:  # a temperature is no difference of temperatures
+    except (
+        pint.DimensionalityError,
+        OverflowError,
+    ):  # a temperature is no difference of temperatures; a factor without a number
         return None
     if not one - zero or not abs(two - 2 * one + zero) <= 1e-9 * max(abs(one), abs(zero)):  # a logarithm
         return None
@@ -168,7 +171,10 @@ def _refusal(unit: str, target: str) -> str:
 def _gas(unit: str, target: str, state: str) -> str:
     """What to state of a gas whose volume counts at reference conditions; "" of other units."""
     for source, wanted in product(units.readings(unit), units.readings(target)):
-        (given, gases), (expected, others) = _in_moles(source.unit), _in_moles(wanted.unit)
+        try:
+            (given, gases), (expected, others) = _in_moles(source.unit), _in_moles(wanted.unit)
+        except OverflowError:  # of a factor beyond all numbers
+            continue
         quantity = units.registry().Quantity
         for per_mole, of in (
             (quantity(1.0, ""), ""),

@@ -220,7 +220,9 @@ def test_theory_and_simulation_agree_on_the_tanks() -> None:
         for sensor in theory.sensors:
             bias, drift = of.best(sensor, "bias"), of.best(sensor, "drift")
             assert bias is not None and drift is not None
-            assert bias.size == (3.0 if of.detector == "loo-glr" else bias.size) <= 10.0  # noise is learnt before it is believed
+            assert (
+                bias.size == (3.0 if of.detector == "loo-glr" else bias.size) <= 10.0
+            )  # noise is learnt before it is believed
             assert 1 <= bias.delay <= 30 and drift.delay <= 60
         assert of.healthy < 0.05 and of.kept_out == ()
     frozen = [of.best(s, "freeze") for of in found.detectors[1:] for s in theory.sensors]

@@ -368,6 +368,12 @@ def test_any_text_converts_with_a_finite_factor_or_is_refused(parts: list[str], 
     assert math.isfinite(factor) and math.isfinite(offset)
 
 
+@pytest.mark.parametrize("unit", ["M222", "m-222", "km333"])
+def test_a_factor_beyond_all_numbers_is_refused(unit: str) -> None:
+    with pytest.raises(ValueError, match="does not convert"):
+        conversion(unit, "m")
+
+
 @pytest.mark.parametrize("unit", ["in2 decibel", "decibel", "neper/m", "decade", "m octaves"])
 def test_logarithms_of_pint_are_no_units_in_a_product_either(unit: str) -> None:
     for target in ("m2", "1", "Nm3/h"):
