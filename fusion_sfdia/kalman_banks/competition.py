@@ -117,8 +117,8 @@ def eliminated(found: LeaveOneOut, evidence: Evidence, present: Present, limits:
     """Eliminate the worst sensor of the present sample while it explains the sample better than the process does.
 
     The first sensor competes by all its evidence, also with process hypotheses that begin now, each further one by the readings
-    that are left, with these alone. room (...): sensors that may still be left out. Return the eliminated sensors (..., N), and whether another is
-    above the limit (...).
+    that are left, with these alone. room (...): sensors that may still be left out. Return the eliminated sensors (..., N), and
+    whether another is above the limit (...).
     """
     count = found.used.shape[-1]
     isolated = np.zeros(found.used.shape, bool)

@@ -278,7 +278,7 @@ class RobustBank(ExcludingBank):
             noise, walk,
         )  # fmt: skip
         undecided = (decision.score > 1) & ~decision.isolated.any(axis=-1) & ~process
-        evidence = of_runs(isolated.any(axis=-1), of_whole, evidence)
+        evidence = of_runs(np.any(isolated, axis=-1), of_whole, evidence)
         return memory, self._with_process(decision, evidence, standing, undecided, (x[..., own], variance))
 
     def _joint(self, prior: Prior, noise: ReadingNoise, now: TimeStep, u: Array) -> Joint:

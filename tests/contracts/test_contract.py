@@ -57,6 +57,7 @@ SLOW |= {("power-network", f"fusing-{kind}") for kind in ("ekf", "ukf", "enkf")}
 # Structural residuals: all that read the receiver's pressure but one read the torque, too, and that one, of the turbine's
 # temperature, shows an eighth of the fault, hardly its limit: without it either sensor alone explains the alarms.
 # Without trust in the inputs of an area a wrong reading of its valve is a wrong reference or load, which it shows best.
+LATE = {("two-tanks", "robust-glr"): 4}  # samples in which a change of an outlet explains a flow as well
 MISSED = {
     ("power-network", "uio"): {"valve"},
     ("gas-pipeline", "fusing-ekf"): {"pressure"},
@@ -275,13 +276,14 @@ def test_a_large_bias_raises_an_alarm_and_has_the_right_name(pair: tuple[str, st
     missed = set()
     for run_index, (quantity, i) in enumerate(chosen.items()):
         during = d.isolated[onset : onset + 20, run_index]
-        if np.mean(during[:, i]) < 0.9:
+        late = LATE.get(pair, 2)
+        if np.mean(during[:, i]) < 1 - late / 20:
             missed.add(quantity)
             continue
         first = int(np.argmax(during[:, i]))
         if first:  # it was a reading that may be an outlier, or among the suspects, as well explained by the process
             before = slice(onset, onset + first)
-            assert d.suspect is not None and first <= 2
+            assert d.suspect is not None and first <= late
             assert np.all(d.suspect[before, run_index, i] | ~d.alarm[before, run_index])
         assert np.all(d.alarm[onset : onset + 20, run_index][during[:, i]])
         if pair[1].startswith("adaptive-threshold"):

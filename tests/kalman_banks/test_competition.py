@@ -209,8 +209,8 @@ def test_a_process_hypothesis_that_explains_the_sample_as_well_keeps_the_sensors
 
 
 def test_a_second_sensor_competes_with_what_begins_now_on_the_readings_that_are_left() -> None:
-    """Innovations (20, 15, 15), S = I: sensor 0 first; the two others are one unit of a hypothesis that moves both."""
-    d = np.array([20.0, 15.0, 15.0])
+    """Innovations (40, 15, 15), S = I: sensor 0 first; the two others are one unit of a hypothesis that moves both."""
+    d = np.array([40.0, 15.0, 15.0])
     found = LeaveOneOut(d, np.ones(3), np.eye(3), np.ones(3, bool), None, None)
     sizes = np.array([20.0, 20.0, 20.0, 30.0])
     both = Present(np.array([[0.0], [1.0], [1.0]]), sizes, np.zeros(1))
