@@ -10,19 +10,22 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
 from fusion_sfdia.core.arguments import Array, batch_shape, floats, number, probability, shown, whole
 from fusion_sfdia.core.border import InputLimits
 from fusion_sfdia.core.detector import Decision, check_reading
-from fusion_sfdia.core.health import keep_broken_out, without_broken
+from fusion_sfdia.core.health import keep_broken_out, of_runs, without_broken, without_readings
 from fusion_sfdia.core.log import Log, as_log
 from fusion_sfdia.core.order_statistics import order_statistic
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.silent import silent, silent_scores
 from fusion_sfdia.core.state import State, as_batch, as_single, leaves
+from fusion_sfdia.core.verdicts import FAR, far_off, judged
+
+HELD = 30  # samples in a row in which all readings are far from the model and are not taken; what lasts longer is believed
 
 
 class TimeStep(NamedTuple):
@@ -44,6 +47,8 @@ class BatchDetector(ABC):
     per step over all sensors for which that factor was fitted to healthy readings, None where it was not: `false_alarm`, where
     a detector has it, is what its thresholds have at a factor of 1 on the model itself.
     """
+
+    estimates: ClassVar[bool] = True  # a state, which readings that are far off would spoil
 
     plant: Plant
     threshold_scale: float = field(default=1.0, kw_only=True)
@@ -127,13 +132,18 @@ class BatchDetector(ABC):
         shape, t, seed = batch_shape(batch), number("t", t), whole("seed", seed, least=0)
         if not np.isfinite(t) or seed >= 2**64:
             raise ValueError(f"t is {t}, seed {seed}; expected a finite time in seconds and a seed below 2^64")
-        return State(np.array(seed, np.uint64), np.array(0), np.array(t), np.zeros(shape, bool), self._start(shape, seed))
+        never = np.full(shape, -1)
+        return State(
+            np.array(seed, np.uint64), np.array(0), np.array(t), np.zeros(shape, bool), never, self._start(shape, seed)
+        )
 
     def step(self, state: State, t: float, y: Array, u: Array) -> tuple[State, Decision]:
         """Diagnose the readings y (*batch, N) taken at t (s), NaN where missing, under the input u (*batch, m) that acted from
         state.t to t, or (m,) for all runs.
 
-        Absurd readings count as missing, absurd inputs are replaced (see `border`); the Decision reports both. ValueError for a
+        Absurd readings count as missing, absurd inputs are replaced (see `border`); the Decision reports both. Samples in which
+        all readings are far from a model that they were near to before (`far_off`) are not taken, up to `HELD` in a row: their
+        Decision has residuals and thresholds, and isolates nothing more. ValueError for a
         state of another detector, values or shapes that do not fit, and a time for which the model does not hold.
         """
         batch = self._batch_of(state)
@@ -144,11 +154,19 @@ class BatchDetector(ABC):
         u = self._input_limits.applied(now.t_start, now.dt, applied)
         taken = y, u, np.isnan(y) & ~np.isnan(given), u != applied
         y, u, absurd, absurd_input = (a[None] for a in taken) if single else taken
-        diverged, memory = state.diverged, state.memory
+        diverged, far, memory = state.diverged, state.far, state.memory
         if single:
-            diverged, memory = diverged[None], as_batch(memory)
+            diverged, far, memory = diverged[None], far[None], as_batch(memory)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             after, decision = self._judge(memory, now, y, u)
+            off = (far_off(decision, self.threshold_scale) | decision.diverged) & self.estimates & (far >= 0)
+            if (held := off & (far < HELD)).any():
+                without, expected = self._judge(memory, now, np.where(held[..., None], np.nan, y), u)
+                off = off & (~held | self._all_far(decision, expected, y))
+                held = held & off
+                after, decision = of_runs(held, without, after), without_readings(held, decision, expected)
+        near = judged(decision) & ~far_off(decision, self.threshold_scale) & self.estimates
+        far = np.where(off, far + 1, np.where(near, 0, far))
         capped = decision.capped
         if capped.shape != diverged.shape:
             capped = np.broadcast_to(capped, diverged.shape)
@@ -160,9 +178,17 @@ class BatchDetector(ABC):
         if self.plant.cyclic_sensors is not None:
             found["reconstruction"] = self.plant.near(found["reconstruction"], y)
         if single:
-            diverged, after = diverged[0, ...], as_single(after)
+            diverged, far, after = diverged[0, ...], far[0, ...], as_single(after)
             found = {name: None if a is None else a[0, ...] for name, a in found.items()}
-        return State(state.seed, np.array(now.k), np.array(now.t), diverged, after), Decision(**found)
+        return State(state.seed, np.array(now.k), np.array(now.t), diverged, far, after), Decision(**found)
+
+    def _all_far(self, decision: Decision, expected: Decision, y: Array) -> Array:
+        """Whether all readings y (*batch, N), and at least two, are `FAR` thresholds from those expected without them."""
+        known = np.isfinite(decision.threshold)
+        limit = np.where(known, decision.threshold / self.threshold_scale, 3.0 * self.plant.sensor_sigma)
+        distance = np.abs(self.plant.near(y, expected.reconstruction) - expected.reconstruction)
+        far = distance > FAR * limit
+        return np.asarray(np.all(far | np.isnan(y), axis=-1) & (np.sum(far, axis=-1) > 1))
 
     def readmit(self, state: State, sensors: str | Iterable[str]) -> State:
         """The state in which sensors, by name, are used again in all runs: after their repair, or where an isolation was wrong.
@@ -204,7 +230,7 @@ class BatchDetector(ABC):
         if isinstance(state, State) and isinstance(state.memory, kind):
             batch = np.shape(state.diverged)
             found = [getattr(a, "shape", None) for a in leaves(state)]
-            if found == [(), (), (), batch, *([(*batch, *s) for s in expected] if batch else expected)]:
+            if found == [(), (), (), batch, batch, *([(*batch, *s) for s in expected] if batch else expected)]:
                 return batch
         raise ValueError(
             f"this is no state of {type(self).__name__} on plant {self.plant.name!r} with these settings; take it from "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -45,10 +45,31 @@ def keep_broken_out(diverged: Array, memory: Any, fresh: Any) -> Any:
     if not np.any(diverged):
         return memory
 
-    def kept(a: Array, b: Array) -> Array:
-        return np.where(diverged.reshape(diverged.shape + (1,) * (a.ndim - diverged.ndim)), b, a)
+    return of_runs(diverged, fresh, memory)
 
-    return mapped(kept, memory, fresh)
+
+def of_runs(where: Array, one: Any, other: Any) -> Any:
+    """Of two tuples of arrays (*batch, ..), those of `one` in the runs `where` (*batch) holds, else those of `other`."""
+
+    def chosen(a: Array, b: Array) -> Array:
+        return a if a is b else np.where(where.reshape(where.shape + (1,) * (a.ndim - where.ndim)), a, b)
+
+    return mapped(chosen, one, other)
+
+
+def without_readings(held: Array, decision: Decision, expected: Decision) -> Decision:
+    """Of the runs `held` (*batch) the decision `expected`, which was made without the readings, with their residuals,
+    thresholds and nis; of the others `decision`.
+    """
+    kept = ("residual", "threshold", "nis")
+    named = {f.name: (getattr(decision, f.name), getattr(expected, f.name)) for f in fields(decision) if f.name not in kept}
+
+    def chosen(a: Array, b: Array) -> Array:
+        a, b = (np.broadcast_to(v, held.shape) if v.ndim == 0 else v for v in (a, b))
+        return np.where(held.reshape(held.shape + (1,) * (a.ndim - held.ndim)), b, a)
+
+    found: dict[str, Any] = {name: None if a is None or b is None else chosen(a, b) for name, (a, b) in named.items()}
+    return replace(decision, **found)
 
 
 NUMBERS = (

@@ -21,14 +21,16 @@ class State(NamedTuple):
     """A detector between two readings; take it from `init`, `step` or `load_state`.
 
     seed: () of the randomness of the method. steps: () readings taken since `init`. t: () time of the last reading, or of
-    `init`, in s. diverged: (*batch) bool, runs in which the estimator has broken down. memory: what the method keeps, a
-    NamedTuple of arrays (*batch, ...) that the detector documents.
+    `init`, in s. diverged: (*batch) bool, runs in which the estimator has broken down. far: (*batch) int, samples in a row in
+    which all readings were far from the model, -1 before any was near. memory: what the method keeps, a NamedTuple of arrays
+    (*batch, ...) that the detector documents.
     """
 
     seed: Array
     steps: Array
     t: Array
     diverged: Array
+    far: Array
     memory: Any
 
 
@@ -84,12 +86,12 @@ def names(tree: Any, prefix: str = "") -> list[str]:
 
 def chosen_runs(state: State, runs: Array) -> State:
     """The state of some runs of a batch of one axis, by their indices."""
-    diverged, memory = mapped(lambda a: chosen(a, runs), (state.diverged, state.memory))
-    return state._replace(diverged=diverged, memory=memory)
+    diverged, far, memory = mapped(lambda a: chosen(a, runs), (state.diverged, state.far, state.memory))
+    return state._replace(diverged=diverged, far=far, memory=memory)
 
 
 def joined_runs(state: State, other: State) -> State:
     """The runs of two states of one detector at the same time as one batch, along its first axis."""
-    both = (state.diverged, state.memory), (other.diverged, other.memory)
-    diverged, memory = mapped(joined, *both)
-    return state._replace(diverged=diverged, memory=memory)
+    both = (state.diverged, state.far, state.memory), (other.diverged, other.far, other.memory)
+    diverged, far, memory = mapped(joined, *both)
+    return state._replace(diverged=diverged, far=far, memory=memory)

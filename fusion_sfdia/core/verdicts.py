@@ -57,10 +57,12 @@ def undecidable(decision: Decision) -> Array:
     return np.asarray(judged(decision) & ~np.any(finite, axis=-1))
 
 
-def far_off(decision: Decision) -> Array:
-    """Whether all sensors that were judged, and at least two, are more than `FAR` thresholds off (...)."""
+def far_off(decision: Decision, threshold_scale: float = 1.0) -> Array:
+    """Whether all sensors that were judged, and at least two, are more than `FAR` thresholds off (...), thresholds without
+    the factor threshold_scale.
+    """
     known = np.isfinite(decision.residual) & np.isfinite(decision.threshold)
-    far = decision.scores > FAR
+    far = decision.scores * threshold_scale > FAR
     return np.asarray(np.all(far | ~known, axis=-1) & (np.sum(known, axis=-1) > 1) & ~decision.diverged)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,8 @@ class EwmaLimits(BatchDetector):
     centre, in place of missing and violating ones. fault_size: reading less reconstruction. No state is estimated: estimate is
     the plant's x0.
     """
+
+    estimates: ClassVar[bool] = False
 
     centre: Array
     level: Array

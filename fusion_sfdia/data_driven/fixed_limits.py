@@ -5,7 +5,7 @@ model.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,8 @@ class FixedLimits(BatchDetector):
     Limits do not depend on the operating point: they contain all healthy readings of a varying operation, and faults smaller
     than that variation are not detected.
     """
+
+    estimates: ClassVar[bool] = False
 
     centre: Array
     level: Array
@@ -142,7 +144,7 @@ class FixedLimits(BatchDetector):
             decision, capped=np.zeros(len(t), bool), absurd=np.isnan(y) & ~np.isnan(given), absurd_input=u != applied
         )
         after = FixedLimitsMemory(memory.last.copy(), memory.trusted.copy())
-        return State(state.seed, np.array(state.steps + len(t)), np.array(times[-1]), state.diverged, after), found
+        return State(state.seed, np.array(state.steps + len(t)), np.array(times[-1]), state.diverged, state.far, after), found
 
 
 def largest(deviation: Array, floor: Array, still: Array) -> Array:

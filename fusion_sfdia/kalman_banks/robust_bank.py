@@ -30,8 +30,9 @@ from fusion_sfdia.core.arguments import number, whole
 from fusion_sfdia.core.batch_detector import TimeStep
 from fusion_sfdia.core.detector import Decision, ProcessHypothesis
 from fusion_sfdia.core.exclusion import restored
+from fusion_sfdia.core.health import of_runs
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.state import mapped
+from fusion_sfdia.core.verdicts import FAR
 from fusion_sfdia.filters.estimators import Extended, GaussianState, Prior, step_stream
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.kalman_banks.competition import (
@@ -92,15 +93,6 @@ USUAL_SQUARE = 6.6  # chi-square below which a reading is as expected (0.99)
 START = 32  # samples without a verdict where something is uncertain
 LEARNT_AGAIN = (8, 16)  # samples before which what is uncertain gets its prior spread again, linearised at a better estimate
 USUAL = 1.0  # of the prior standard deviation of a parameter or input: so much is no change of the process
-
-
-def of_runs(where: Array, one: Any, other: Any) -> Any:
-    """Of two tuples of arrays (..., ..), those of `one` in the runs `where` (...) holds, else those of `other`."""
-
-    def chosen(a: Array, b: Array) -> Array:
-        return a if a is b else np.where(where.reshape(where.shape + (1,) * (a.ndim - where.ndim)), a, b)
-
-    return mapped(chosen, one, other)
 
 
 @dataclass(frozen=True)
@@ -262,6 +254,8 @@ class RobustBank(ExcludingBank):
         if self.accommodate and unexplained.any():
             exclusion = restored(exclusion, unexplained[..., None] & (out_for <= self.window))
         update = Update(x, p, prior, joint, used)
+        beyond = everything.chi_square > FAR**2 * limits.one
+        counted = unclipped(counted, everything, np.all(beyond | ~usable, axis=-1) & (np.sum(beyond, axis=-1) > 1))
         shown = self._shown(counted.found, evidence, usable, isolated | quiet, capped)
         if begins:
             shown = shown._replace(threshold=np.full(y.shape, np.inf))

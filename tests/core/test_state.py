@@ -31,7 +31,8 @@ def outer(runs: int, start: float = 0.0) -> Outer:
 
 
 def state(runs: int, start: float = 0.0) -> State:
-    return State(np.array(3, np.uint64), np.array(7), np.array(1.5), start + np.arange(runs) > 1, outer(runs, start))
+    diverged, far = start + np.arange(runs) > 1, np.arange(runs) - 1
+    return State(np.array(3, np.uint64), np.array(7), np.array(1.5), diverged, far, outer(runs, start))
 
 
 def test_arrays_have_the_names_of_their_fields_in_one_order() -> None:

@@ -12,6 +12,7 @@ from optional_packages import STRUCTURAL
 from toy_plants import declared, readings, tanks
 
 from fusion_sfdia import registry
+from fusion_sfdia.core.batch_detector import HELD
 from fusion_sfdia.core.detector import Decision, chosen
 from fusion_sfdia.core.verdicts import Verdict, conclusion_of
 from fusion_sfdia.evaluation.diagnose import Diagnosis
@@ -116,6 +117,30 @@ def test_no_blind_sample_or_log_looks_healthy(name: str, case: str) -> None:
     assert alone.state != "healthy" and "no fault" not in as_text(alone, name)
     if case == "impossible":
         assert alone.state is Verdict.BLIND and alone.verdict.startswith("no verdict: no reading could be compared with the")
+
+
+@pytest.mark.parametrize("name", ["loo-chi2", "loo-glr", "robust-glr", "kf-chi2", "fusing-ekf"])
+@pytest.mark.parametrize("rows", [1, 20])
+def test_rows_that_are_far_off_cost_no_more_than_themselves(name: str, rows: int) -> None:
+    """All readings: no row before or some samples after them is other than without them, but for false alarms."""
+    t, y, u = healthy(120)
+    spoilt = y.copy()
+    spoilt[60 : 60 + rows] += 1e4 * tanks().sensor_sigma * np.array([1.0, -1.0, 1.0, -1.0])
+    detector = registry.detector(name, tanks())
+    found, usual = (diagnosed(detector, t, of, u).decisions for of in (spoilt, y))
+    assert all(str(conclusion_of(chosen(found, k), spoilt[k]).verdict) == "cannot tell" for k in range(60, 60 + rows))
+    np.testing.assert_array_equal(found.isolated[60 : 60 + rows], usual.isolated[59:60].repeat(rows, axis=0))
+    after = slice(60 + rows + 10, None)
+    np.testing.assert_array_equal(found.isolated[after], usual.isolated[after])
+
+
+def test_readings_that_stay_far_off_are_believed_in_the_end() -> None:
+    """After `HELD` samples: then the plant is elsewhere, or its inputs are."""
+    t, y, u = healthy(200)
+    y[60:] += 1e4 * tanks().sensor_sigma
+    found = diagnosed(registry.detector("kf-chi2", tanks()), t, y, u).decisions
+    assert np.all(np.abs(found.estimate[60 : 60 + HELD] - 1) < 0.3)
+    assert np.any(found.estimate[60 + HELD :] > 2.0)
 
 
 def test_a_model_that_gives_no_number_is_no_verdict() -> None:
