@@ -84,12 +84,15 @@ def markdown(table: Table) -> str:
 
 
 def trials(rows: Sequence[Row]) -> str:
-    """How many trials a case has, by detector."""
-    counts: dict[int, list[str]] = {}
+    """How many trials a case has, by detector and plant."""
+    found: dict[str, list[str]] = {}
     for detector in dict.fromkeys(row.detector for row in rows):
-        most = max(row.n for row in rows if row.detector == detector and row.quantity == "readings")
-        counts.setdefault(most, []).append(f"`{detector}`")
-    return "Trials of each case: " + "; ".join(f"{n} of {', '.join(who)}" for n, who in counts.items()) + "."
+        most: dict[str, int] = {}
+        for row in rows:
+            if row.detector == detector and row.quantity == "readings":
+                most[row.plant] = max(row.n, most.get(row.plant, 0))
+        found.setdefault(", ".join(f"{plant} {n}" for plant, n in most.items()), []).append(f"`{detector}`")
+    return "Trials of each case. " + "; ".join(f"{', '.join(who)}: {counts}" for counts, who in found.items()) + "."
 
 
 def render(rows: Sequence[Row]) -> str:
