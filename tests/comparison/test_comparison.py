@@ -17,7 +17,6 @@ from fusion_sfdia import builders, registry
 from fusion_sfdia.cli.main import main, parser
 from fusion_sfdia.comparison import calibration as comparison_calibration
 from fusion_sfdia.comparison import protocol
-from fusion_sfdia.comparison import recordings as comparison_recordings
 from fusion_sfdia.comparison import run as comparison_run
 from fusion_sfdia.comparison.branches import Branches
 from fusion_sfdia.comparison.calibration import (
@@ -49,6 +48,7 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.plant_groups import Numerics
 from fusion_sfdia.core.silent import silent, silent_score, silent_scores
 from fusion_sfdia.core.state import leaves
+from fusion_sfdia.evaluation import case_readings
 from fusion_sfdia.evaluation.cases import ComparisonCases
 from fusion_sfdia.evaluation.results import Published
 from fusion_sfdia.evaluation.simulate import Recording, simulate
@@ -274,7 +274,7 @@ def test_what_sets_thresholds_what_is_learnt_from_and_what_is_judged_share_no_se
         phase[0] = "judged"
         return found
 
-    monkeypatch.setattr(comparison_recordings, "simulate", spy(comparison_recordings.simulate, fitting=False))
+    monkeypatch.setattr(case_readings, "simulate", spy(case_readings.simulate, fitting=False))
     monkeypatch.setattr(builders, "simulate", spy(builders.simulate, fitting=True))
     monkeypatch.setattr(comparison_run, "calibrated", watched)
     healthy.cache_clear()
@@ -291,8 +291,8 @@ def test_what_sets_thresholds_what_is_learnt_from_and_what_is_judged_share_no_se
 
 def test_readings_are_simulated_once_for_all_detectors(monkeypatch: pytest.MonkeyPatch) -> None:
     simulated: list[Any] = []
-    simulate = comparison_recordings.simulate
-    monkeypatch.setattr(comparison_recordings, "simulate", lambda *a, **k: simulated.append(k) or simulate(*a, **k))
+    simulate = case_readings.simulate
+    monkeypatch.setattr(case_readings, "simulate", lambda *a, **k: simulated.append(k) or simulate(*a, **k))
     for cached in (healthy, comparison_run.usual_material, comparison_run.mismatch_material):
         cached.cache_clear()
     counts = []

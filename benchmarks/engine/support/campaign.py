@@ -21,7 +21,7 @@ from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, MOST_NOISE,
 from fusion_sfdia.builders import adaptive_threshold
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import stream
-from fusion_sfdia.core.state import State, mapped
+from fusion_sfdia.core.state import State, with_runs
 from fusion_sfdia.evaluation.diagnosis_metrics import Response
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, proportion, share
 from fusion_sfdia.evaluation.results import Row
@@ -175,14 +175,12 @@ def first_firings(
 
 def _of_batch(state: State, batch: tuple[int, ...], new: tuple[int, ...]) -> State:
     """The state of a batch, with the same runs in a batch of another shape."""
-    diverged, memory = mapped(lambda a: a.reshape((*new, *a.shape[len(batch) :])), (state.diverged, state.memory))
-    return state._replace(diverged=diverged, memory=memory)
+    return with_runs(state, lambda a: a.reshape((*new, *a.shape[len(batch) :])))
 
 
 def fork(state: State, ways: int) -> State:
     """The state of a batch (*batch), copied to (ways, *batch) runs that differ from here on."""
-    diverged, memory = mapped(lambda a: np.broadcast_to(a, (ways, *a.shape)), (state.diverged, state.memory))
-    return state._replace(diverged=diverged, memory=memory)
+    return with_runs(state, lambda a: np.broadcast_to(a, (ways, *a.shape)))
 
 
 def sizes(detector: AdaptiveThreshold, size: float) -> Array:
