@@ -1,19 +1,24 @@
 """The noise that readings show while a filter runs: its size, its correlation from sample to sample, and single outliers.
 
 Of each sensor e = u / sqrt(w), the leave-one-out innovation over its stated standard deviation, is white with variance 1 where
-the model and the stated noise are right. Three things are followed, all so that a fault moves them little:
+the model and the stated noise are right. Four things are followed, all so that a fault moves them little:
 
     size          ln kappa <- ln kappa +- STEP, + where e^2 > .455 kappa, the median of chi-square (Robbins and Monro 1951),
                   with kappa at most exp(LARGER), as what is above it enlarges the filter's noise;
                   what all sensors have in common is followed faster, as a fault of a sensor does not move it
     correlation   q = 1 - mean of min((e_k - e_k-1)^2 / (2 kappa), CUT) / CUT_MEAN: a lasting fault changes one difference
     clipping      readings count as if |e| were CLIP at most, the worst first
+    level         m, the mean of clipped e over the last LEVEL samples; the model is off by M = max(0, median of m^2 over sensors
+                  / .455 - (1 + CHANCE_LEVEL / sqrt(N)) times the variance that noise gives m), which counts a block of BLOCK
+                  samples later, when a fault that begins has been judged without it
 
 A sum over n samples of noise with the correlation q from each sample to the next varies
 
     c(n, q) = 1 + 2 sum_{k=1}^{n-1} (1 - k/n) q^k = (1 + q) / (1 - q) - 2 q (1 - q^n) / (n (1 - q)^2)
 
-times as much as one of white noise. The statistics of windows are divided by it.
+times as much as one of white noise, and where levels vary by M from sensor to sensor the square of the sum grows by n^2 M, its
+variance over that of white noise by n M. The statistics of windows are divided by it, those of the process without M: all
+sensors together show it.
 """
 
 from __future__ import annotations
@@ -41,6 +46,9 @@ FADE = 1 - 1 / 32  # of `spread` in a sample: windows still have sums from befor
 CLIP = 3.0  # standard deviations
 CUT = 4.0  # of half the squared difference of neighbours
 CUT_MEAN = float(gammainc(1.5, CUT / 2) + CUT * (1 - gammainc(0.5, CUT / 2)))  # of min(chi-square, CUT)
+LEVEL = 64.0  # samples in the running mean of e
+BLOCK = 16  # samples
+CHANCE_LEVEL = 2.33  # standard error of the median of N chi-square variables, times sqrt(N), over that median: 1 / (2 f .455)
 OWN, ALL = 128.0, 24.0  # samples in the running means of a sensor, and of all together
 SUPPOSED, WEIGHT = 0.8, 8.0  # correlation before any reading, and the samples that it counts for
 CHANCE = 0.2  # correlation of a sensor alone that counts: about two standard errors of OWN samples
@@ -51,7 +59,8 @@ class ReadingNoise(NamedTuple):
     """What is known of the noise: ln kappa (..., N), the last e (..., N), NaN before, running means of the cut differences.
 
     common (...): the part of ln kappa that all sensors have. spread (..., N): what kappa has been lately, where the filter did
-    not take it into account. own (..., N): of each sensor, every (...): of all; samples (...): samples in these means.
+    not take it into account. own (..., N): of each sensor, every (...): of all; samples (...): samples in these means. level
+    (..., N): m. off (...): M as it counts, later (...): as it will in the next block.
     """
 
     size: Array
@@ -61,6 +70,9 @@ class ReadingNoise(NamedTuple):
     own: Array
     every: Array
     samples: Array
+    level: Array
+    off: Array
+    later: Array
 
 
 def nothing_shown(batch: tuple[int, ...], sensors: int) -> ReadingNoise:
@@ -74,6 +86,9 @@ def nothing_shown(batch: tuple[int, ...], sensors: int) -> ReadingNoise:
         np.full(shape, CUT_MEAN),
         np.full(batch, supposed),
         np.full(batch, WEIGHT),
+        np.zeros(shape),
+        np.zeros(batch),
+        np.zeros(batch),
     )
 
 
@@ -91,11 +106,33 @@ def unseen(size: float) -> float:
     return float(np.exp(min(size, LARGER)))
 
 
+@part
+def inflation(n: float, q: float) -> float:
+    """c(n, q) of sums over n samples."""
+    found: float = (1 + q) / (1 - q) - 2 * q * (1 - q**n) / (n * (1 - q) ** 2)
+    return found
+
+
+@part
+def correlation(mean: float) -> float:
+    """q, from the mean of the cut differences."""
+    return min(max(1 - mean / CUT_MEAN, 0.0), HIGHEST)
+
+
+@part
+def common_correlation(own: Array, every: float) -> float:
+    """q of all sensors together, from the means of each (N,) and that of all."""
+    found = 0.0
+    for i in range(own.size):
+        found += correlation(own[i]) / own.size
+    return max(found, correlation(every))
+
+
 @compiled
 def _learnt(
     u: Array, w: Array, used: Array, where: Array, size: Array, common: Array, spread: Array, last: Array, own: Array,
-    every: Array, samples: Array,
-) -> tuple[Array, Array, Array, Array, Array, Array, Array]:  # fmt: skip
+    every: Array, samples: Array, level: Array, off: Array, later: Array,
+) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array, Array]:  # fmt: skip
     """The same of B runs; what is known is written to."""
     B, N = u.shape
     side = np.empty(N)
@@ -117,6 +154,8 @@ def _learnt(
                         mean += difference
                         differences += 1
                     last[r, i] = e
+                    cut = CLIP * np.sqrt(kappa)
+                    level[r, i] += (min(max(e, -cut), cut) - level[r, i]) / min(samples[r] - WEIGHT, LEVEL)
             before = common[r]
             common[r] = min(max(common[r] + TOGETHER * total / max(number, 1), -MOST), MOST)
             if differences:
@@ -124,7 +163,15 @@ def _learnt(
             for i in range(N):
                 size[r, i] = min(max(size[r, i] + common[r] - before + moves * side[i], -MOST), MOST)
                 spread[r, i] = max(FADE * spread[r, i], unseen(size[r, i]), 1.0)
-    return size, common, spread, last, own, every, samples
+            seen = samples[r] - WEIGHT
+            if seen <= BLOCK or seen % BLOCK == 0:
+                q = common_correlation(own[r], every[r])
+                n = min(seen, 2 * LEVEL - 1)  # a running mean of white noise varies by 1 / (2 LEVEL - 1) in the end
+                chance = (1 + CHANCE_LEVEL / np.sqrt(N)) * np.median(spread[r]) * inflation(n, q) / n
+                found = max(np.median(level[r] ** 2) / MEDIAN - chance, 0.0)
+                off[r] = found if seen <= BLOCK else later[r]
+                later[r] = found
+    return size, common, spread, last, own, every, samples, level, off, later
 
 
 def is_larger(now: ReadingNoise) -> Array:
@@ -136,37 +183,21 @@ def inflation_of(now: ReadingNoise, age: Array) -> Inflation:
     """By how much the sums over windows of that age (..., L) vary more than those of white noise.
 
     By the correlation of all sensors together, and the median of what their variances are over the stated ones; of each sensor
-    by its own, where that is more.
+    by its own, where that is more, and by what the model is off.
     """
     batch = age.shape[:-1]
-    given = [bank_kernels.runs(v, batch) for v in (age, now.own, now.every, now.spread)]
+    given = [bank_kernels.runs(v, batch) for v in (age, now.own, now.every, now.spread, now.off)]
     common, own = _inflation(*given)
     return Inflation(common.reshape(age.shape), own.reshape(*age.shape, own.shape[-1]))
 
 
-@part
-def inflation(n: float, q: float) -> float:
-    """c(n, q) of sums over n samples."""
-    found: float = (1 + q) / (1 - q) - 2 * q * (1 - q**n) / (n * (1 - q) ** 2)
-    return found
-
-
-@part
-def correlation(mean: float) -> float:
-    """q, from the mean of the cut differences."""
-    return min(max(1 - mean / CUT_MEAN, 0.0), HIGHEST)
-
-
 @compiled
-def _inflation(age: Array, own: Array, every: Array, spread: Array) -> tuple[Array, Array]:
+def _inflation(age: Array, own: Array, every: Array, spread: Array, off: Array) -> tuple[Array, Array]:
     """The same of B runs: common (B, L), own (B, L, N)."""
     (B, L), N = age.shape, own.shape[1]
     common, each = np.empty((B, L)), np.empty((B, L, N))
     for r in range(B):
-        together = 0.0
-        for i in range(N):
-            together += correlation(own[r, i]) / N
-        together = max(together, correlation(every[r]))
+        together = common_correlation(own[r], every[r])
         usual = np.median(spread[r])
         for l in range(L):  # noqa: E741
             n = max(age[r, l], 1.0)
@@ -174,7 +205,7 @@ def _inflation(age: Array, own: Array, every: Array, spread: Array) -> tuple[Arr
             common[r, l] = shared * usual
             for i in range(N):
                 q = correlation(own[r, i])
-                each[r, l, i] = (inflation(n, q) if q > max(together, CHANCE) else shared) * spread[r, i]
+                each[r, l, i] = (inflation(n, q) if q > max(together, CHANCE) else shared) * spread[r, i] + n * off[r]
     return common, each
 
 
