@@ -8,9 +8,9 @@ the model and the stated noise are right. Four things are followed, all so that 
                   what all sensors have in common is followed faster, as a fault of a sensor does not move it
     correlation   q = 1 - mean of min((e_k - e_k-1)^2 / (2 kappa), CUT) / CUT_MEAN: a lasting fault changes one difference
     clipping      readings count as if |e| were CLIP at most, the worst first
-    level         m, the mean of clipped e over the last LEVEL samples; the model is off by M = max(0, median of m^2 over sensors
-                  / .455 - (1 + CHANCE_LEVEL / sqrt(N)) times the variance that noise gives m), which counts a block of BLOCK
-                  samples later, when a fault that begins has been judged without it
+    level         m, the mean of clipped e over the last LEVEL samples; the model is off by M = max(0, median of m^2 / .455 -
+                  (1 + CHANCE_LEVEL / sqrt(N)) V), the median over N sensors, V the variance that noise gives m; this counts a
+                  block of BLOCK samples later, so that a fault which begins is judged without it
 
 A sum over n samples of noise with the correlation q from each sample to the next varies
 
@@ -121,7 +121,7 @@ def correlation(mean: float) -> float:
 
 @part
 def common_correlation(own: Array, every: float) -> float:
-    """q of all sensors together, from the means of each (N,) and that of all."""
+    """Correlation q of all sensors together, from the means of each (N,) and that of all."""
     found = 0.0
     for i in range(own.size):
         found += correlation(own[i]) / own.size

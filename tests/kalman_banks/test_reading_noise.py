@@ -15,6 +15,7 @@ from scipy.stats import chi2, norm
 
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, statistics
 from fusion_sfdia.kalman_banks.reading_noise import (
+    BLOCK,
     CUT,
     LARGER,
     OWN,
@@ -110,6 +111,33 @@ def test_the_correlation_is_that_of_the_noise_in_cut_differences(rho: float) -> 
     of_all = 1 - after(e).every / mean_of_cut(1.0)
     # kappa is estimated: differences are over 1 / kappa, whose mean is 1 + its variance, some 0.05
     assert abs(of_all.mean() - expected) < 0.1 * (1 - expected) + 4 * of_all.std() / np.sqrt(RUNS)
+
+
+def test_a_model_that_is_off_is_off_by_the_variance_of_the_levels() -> None:
+    rng, sensors, variance = np.random.default_rng(8), 40, 0.25
+    levels = np.sqrt(variance) * rng.standard_normal((RUNS, sensors))
+    found = after(levels + rng.standard_normal((256, RUNS, sensors))).off
+    # what chance may add to the median is taken off: 1.4 / 127; the median of 40 is high by some 3 %
+    assert abs(found.mean() - variance) < 4 * found.std() / np.sqrt(RUNS) + 0.05 * variance
+    white = after(rng.standard_normal((256, RUNS, sensors))).off
+    assert np.mean(white == 0) > norm.cdf(1) - 4 * np.sqrt(0.16 * 0.84 / RUNS) and white.max() < variance / 10
+
+
+def test_a_fault_that_begins_is_judged_without_what_it_does_to_the_levels() -> None:
+    rng = np.random.default_rng(9)
+    known = after(rng.standard_normal((12 * BLOCK, RUNS, 3)))
+    within = after(2 + rng.standard_normal((BLOCK, RUNS, 3)), known)
+    np.testing.assert_array_equal(within.off, known.later)
+    assert after(2 + rng.standard_normal((BLOCK, RUNS, 3)), within).off.mean() > 10 * known.later.mean()
+
+
+def test_what_a_model_is_off_counts_in_the_sums_of_sensors_alone() -> None:
+    age = np.array([[1.0, 5.0, 30.0]])
+    right = nothing_shown((1,), 3)
+    off = right._replace(off=np.array([0.2]))
+    without, found = inflation_of(right, age), inflation_of(off, age)
+    np.testing.assert_array_equal(found.common, without.common)
+    np.testing.assert_allclose(found.own - without.own, np.repeat(0.2 * age[..., None], 3, axis=-1), rtol=1e-12)
 
 
 def test_before_any_reading_noise_is_supposed_to_be_correlated_by_four_fifths() -> None:
