@@ -55,7 +55,7 @@ def explained_by_lag(detector: Detector, log: Log, found: Diagnosis, again: Call
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DiagnosisWarning)  # they were issued with the first
             results = [(k, moved, _without_end(again(moved), detector.plant.sensor_names[i], k)) for k, moved in tried]
-        rows, moved, result = min(results, key=lambda r: _flagged(r[2]))
+        rows, moved, result = min(results, key=lambda r: (_flagged(r[2]), _residual(r[2], i)))
         if _flagged(result) >= _flagged(found):
             break
         step = rows * float(np.median(np.diff(log.t)))
@@ -86,6 +86,15 @@ def _flagged(found: Diagnosis) -> int:
     d = found.decisions
     flags = [d.isolated, *(v for v in (d.process, d.suspect) if v is not None)]
     return int(np.sum(np.any(np.concatenate([np.atleast_2d(f) for f in flags], axis=-1), axis=-1)))
+
+
+def _residual(found: Diagnosis, i: int) -> float:
+    """The mean square of the residuals of sensor i over their variances, where they were looked at again."""
+    if found.after is None:
+        return 0.0
+    with np.errstate(invalid="ignore", divide="ignore"):
+        z = found.after.error[:, i] / found.after.sd[:, i]
+    return float(np.nanmean(z**2))
 
 
 def latest(detector: Detector, log: Log, found: Diagnosis) -> Lag | None:
