@@ -51,6 +51,15 @@ class SensorTests(NamedTuple):
     limit: float
 
 
+def least_change(H: Array, scale: Array) -> Array:
+    """The least change g (..., N, n) of the states, in units of D = diag(scale), that each reading h g = 1 shows, h a row of H
+    (..., N, n): D^2 h' / (h D^2 h'), 0 where h is 0.
+    """
+    scaled = H * scale**2
+    shown = np.sum(scaled * H, axis=-1, keepdims=True)
+    return np.asarray(scaled / np.where(shown > 0, shown, 1.0))
+
+
 class ExcludingBank(BatchDetector):
     """A bank with these settings; each bank declares them with its own defaults and documents them."""
 
@@ -77,14 +86,12 @@ class ExcludingBank(BatchDetector):
 
     def _readmitted(self, memory: Any, t: float, which: Array) -> Any:
         """For each of `which` (..., N) that was out and alone sees a lasting mode: P + f^2 g g', f the size of its fault, g the
-        least change of the state, in units of D = diag(state_scale), that its reading h g = 1 shows: D^2 h' / (h D^2 h').
+        `least_change` of the state that it shows.
         """
-        (x, p), exclusion, squared = memory.estimate, memory.exclusion, self.model.state_scale**2
-        H = self.model.output_jacobian_at(t, x, self.model.input_at(t))
+        (x, p), exclusion = memory.estimate, memory.exclusion
+        changes = least_change(self.model.output_jacobian_at(t, x, self.model.input_at(t)), self.model.state_scale)
         for i in [i for i in map(self.plant.sensor_index, redundancy(self.plant).indispensable) if np.any(which[..., i])]:
-            h = H[..., i, :]
-            shown = np.sum(squared * h**2, axis=-1, keepdims=True)
-            g = squared * h / np.where(shown > 0, shown, 1.0)
+            g = changes[..., i, :]
             size = np.where(exclusion.out[..., i] & which[..., i], exclusion.size[..., i], 0.0)
             p = p + (size**2)[..., None, None] * g[..., :, None] * g[..., None, :]
         return memory._replace(estimate=memory.estimate._replace(P=p), exclusion=restored(exclusion, which))

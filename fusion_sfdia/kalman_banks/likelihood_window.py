@@ -253,7 +253,12 @@ def updated(weighed: Weighed, restart: Array) -> Window:
 
     restart (...): runs whose window restarts, because the readings in use, or the model, have changed.
     """
-    window = Window(*weighed[:5])
-    if not restart.any():
-        return window
-    return Window(*(np.where(restart.reshape(restart.shape + (1,) * (v.ndim - restart.ndim)), 0, v) for v in window))
+    window: Window = restarted(Window(*weighed[:5]), restart)
+    return window
+
+
+def restarted(carried: Any, where: Array) -> Any:
+    """What is carried from step to step, a tuple of arrays (..., ..), as at the start in the runs `where` (...) holds: 0."""
+    if not where.any():
+        return carried
+    return type(carried)(*(np.where(where.reshape(where.shape + (1,) * (v.ndim - where.ndim)), 0, v) for v in carried))

@@ -13,12 +13,13 @@ The central filter estimates what the plant declares as unknown (`core.augment`)
 - Where something is uncertain, the first `START` samples give no verdict.
 - Otherwise an alarm is undecided, and its suspects are reported.
 - A sensor whose readings are too quiet is isolated, too (`quiet`).
+- While a verdict stands a second filter looks at it again: it readmits sensors or raises doubt (`fresh_look`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -33,6 +34,7 @@ from fusion_sfdia.core.exclusion import restored
 from fusion_sfdia.core.health import of_runs
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.verdicts import FAR
+from fusion_sfdia.filters import gaussian
 from fusion_sfdia.filters.estimators import Extended, GaussianState, Prior, step_stream
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.kalman_banks.competition import (
@@ -49,8 +51,18 @@ from fusion_sfdia.kalman_banks.competition import (
     one_sample_evidence,
     suspects,
 )
-from fusion_sfdia.kalman_banks.excluding_bank import UNUSED, ExcludingBank, SensorTests, Update
+from fusion_sfdia.kalman_banks.excluding_bank import UNUSED, ExcludingBank, SensorTests, Update, least_change
 from fusion_sfdia.kalman_banks.freed_estimates import Tested, moved, with_alternatives, with_prior_unknowns
+from fusion_sfdia.kalman_banks.fresh_look import (
+    FIRST,
+    LINEARISED_AGAIN,
+    MOST,
+    Question,
+    answered,
+    begun,
+    remembered,
+    with_sample,
+)
 from fusion_sfdia.kalman_banks.hypotheses import SLOW_STEP, UNNAMED, Hypotheses
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, one_hot, posterior_and_gain, statistics, value_at
 from fusion_sfdia.kalman_banks.likelihood_window import (
@@ -60,6 +72,7 @@ from fusion_sfdia.kalman_banks.likelihood_window import (
     Window,
     best_onset,
     residual_and_threshold,
+    restarted,
     shifted,
     updated,
     weigh,
@@ -173,7 +186,7 @@ class RobustBank(ExcludingBank):
         return used._replace(out_for=out_for, led=led, pairs=pairs)
 
     def _judge(self, memory: RobustMemory, now: TimeStep, y: Array, u: Array) -> tuple[RobustMemory, Decision]:
-        estimate, exclusion, out_for, led, *windows, last, standing, pairs, nis, noise, walk = memory
+        estimate, exclusion, out_for, led, *windows, last, standing, pairs, nis, noise, walk, look = memory
         of, count = self._hypotheses, y.shape[-1]
         stands = np.asarray(standing.accepted.any(axis=-1))
         begins = of.added > 0 and now.k <= START  # no verdict before what is uncertain has been learnt
@@ -267,13 +280,77 @@ class RobustBank(ExcludingBank):
         noise = learnt(noise, everything, ~stands & (not begins or now.k > LEARNT_AGAIN[-1]))
         before = np.diagonal(prior.core.P, axis1=-2, axis2=-1)[..., own]
         walk = walked(walk, x[..., own] - prior.core.x[..., own], before - variance, ~stands & (not begins))
-        memory = RobustMemory(
+        after = RobustMemory(
             GaussianState(x, p), exclusion, out_for, led, recent, slow, last, standing, pairs, faded(nis, everything),
-            noise, walk,
+            noise, walk, look,
         )  # fmt: skip
+        if self.accommodate:
+            after = self._with_look(after, self._begins(memory, after), now, y, u, quiet)
+        doubt = after.look.doubt
+        if doubt.any():
+            decision = replace(
+                decision, isolated=decision.isolated & ~doubt, fault_size=np.where(doubt, np.nan, decision.fault_size)
+            )
         undecided = (decision.score > 1) & ~decision.isolated.any(axis=-1) & ~process
         evidence = of_runs(np.any(isolated, axis=-1), of_whole, evidence)
-        return memory, self._with_process(decision, evidence, standing, undecided, (x[..., own], variance))
+        return after, self._with_process(decision, evidence, after, undecided, (x[..., own], variance))
+
+    def _begins(self, before: RobustMemory, after: RobustMemory) -> Array:
+        """Where another sensor is left out or another process hypothesis stands (...)."""
+        sensors = after.exclusion.out & ~before.exclusion.out
+        process = after.standing.accepted & ~before.standing.accepted
+        return np.asarray(sensors.any(axis=-1) | process.any(axis=-1))
+
+    def _with_look(self, now: RobustMemory, anew: Array, at: TimeStep, y: Array, u: Array, quiet: Array) -> RobustMemory:
+        """A fresh look while a verdict stands: it raises doubt, or readmits sensors that are left out, as they are right.
+
+        It begins `anew` (...) with each verdict. quiet (..., N): sensors whose readings it does not use.
+        """
+        of, look = self._hypotheses, now.look
+        if (look.samples > 0).any():
+            prior = self._predict(look.estimate, now.standing, now.walk, at, u)
+            joint = self._joint(prior, now.noise, at, u)
+            found = statistics(joint, y, np.isfinite(y) & ~quiet)
+            assert prior.tangent is not None
+            look = with_sample(look, prior.tangent, joint, found)
+            size = of.recent_sizes[: y.shape[-1] + of.added]
+            inflation = inflation_of(now.noise, look.samples[..., None]).common[..., 0]
+            out = now.exclusion.out & ~quiet
+            judged, right = answered(look, Question(out, now.exclusion.size, size, inflation, self.sensor_margin))
+            look, right = of_runs(anew, look, judged), right & ~anew  # what stands since now is not of this look
+            if right.any():
+                again = self._readmitted(now, at.t, out & right[..., None])
+                estimate = of_runs(right, look.estimate, again.estimate)
+                windows = (restarted(carried, right) for carried in (again.recent, again.slow, again.update))
+                recent, slow, last = windows
+                now = again._replace(estimate=estimate, recent=recent, slow=slow, update=last)
+        stands = np.asarray(now.exclusion.out.any(axis=-1) | now.standing.accepted.any(axis=-1))
+        anew = anew | (stands & (look.samples == 0))
+        lasted = np.where(look.first, FIRST, MOST)
+        later = stands & ~anew & (look.samples > lasted)
+        linearised = stands & ~anew & ~look.first & (look.samples == LINEARISED_AGAIN)
+        look = begun(look, now.estimate, anew, first=True)
+        if later.any():
+            look = begun(look, self._uncertain(now, now.estimate.x, at, u), later, first=False)
+        if linearised.any():
+            start = self._uncertain(now, look.estimate.x, at, u)
+            look = begun(look, start, linearised, first=False, samples=LINEARISED_AGAIN + 1)
+        return now._replace(look=remembered(look, stands, now.standing.accepted))
+
+    def _uncertain(self, now: RobustMemory, x: Array, at: TimeStep, u: Array) -> GaussianState:
+        """The states of x (..., z) with the nominal unknowns, as uncertain as at first; the states also as now, and as the
+        faults of the sensors that are left out would change them.
+        """
+        of, n = self._hypotheses, len(self.plant.states)
+        x = np.where(np.arange(x.shape[-1]) < n, x, of.model.x0)
+        p = np.zeros_like(now.estimate.P) + gaussian.dense(of.model.initial_cov)
+        p[..., :n, :n] += now.estimate.P[..., :n, :n]
+        out, fault, *_ = now.exclusion
+        if out.any():
+            changes = least_change(of.model.output_jacobian_at(at.t, x, u)[..., :n], self.plant.state_scale)
+            g = changes * np.where(out, fault, 0.0)[..., None]
+            p[..., :n, :n] += np.swapaxes(g, -1, -2) @ g
+        return GaussianState(x, p)
 
     def _joint(self, prior: Prior, noise: ReadingNoise, now: TimeStep, u: Array) -> Joint:
         """State and readings before the update, of sensors whose noise is clearly larger than stated with that noise."""
@@ -341,16 +418,18 @@ class RobustBank(ExcludingBank):
         return SensorTests(usable, isolated, residual, threshold, residual, capped, one)
 
     def _with_process(
-        self, decision: Decision, evidence: Evidence, standing: Standing, undecided: Array, added: tuple[Array, Array]
+        self, decision: Decision, evidence: Evidence, now: RobustMemory, undecided: Array, added: tuple[Array, Array]
     ) -> Decision:
         """The decision with the process hypotheses and the suspects; estimate and covariance of the plant's own states."""
         n, (z, variance) = len(self.plant.states), added
         nominal = self._hypotheses.model.x0[n:]
-        size, sd = sizes(standing, z - nominal, variance)
+        size, sd = sizes(now.standing, z - nominal, variance)
+        suspect = suspects(evidence, undecided, self.process_margin)
+        suspect[..., : now.led.shape[-1]] |= undecided[..., None] & now.look.doubt
         assert decision.covariance is not None
         found = {
             "estimate": decision.estimate[..., :n], "covariance": decision.covariance[..., :n, :n],
-            "process": standing.accepted, "process_size": size, "process_sd": sd,
-            "suspect": suspects(evidence, undecided, self.process_margin), "probability": evidence.probability,
+            "process": now.standing.accepted, "process_size": size, "process_sd": sd,
+            "suspect": suspect, "probability": evidence.probability,
         }  # fmt: skip
         return Decision(**{**vars(decision), **found})

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters.estimators import GaussianState
 from fusion_sfdia.kalman_banks import bank_kernels
+from fusion_sfdia.kalman_banks.fresh_look import Look, no_look
 from fusion_sfdia.kalman_banks.hypotheses import Hypotheses
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut
 from fusion_sfdia.kalman_banks.likelihood_window import Grid, Window, empty
@@ -44,6 +45,7 @@ class RobustMemory(NamedTuple):
     nis: Array
     noise: ReadingNoise
     walk: Walk
+    look: Look
 
 
 def nothing_known(of: Hypotheses, estimate: GaussianState, batch: tuple[int, ...], grids: tuple[Grid, Grid]) -> RobustMemory:
@@ -63,6 +65,7 @@ def nothing_known(of: Hypotheses, estimate: GaussianState, batch: tuple[int, ...
         np.ones(batch),
         nothing_shown(batch, count),
         no_walk(batch, p),
+        no_look(estimate, batch, count, p),
     )
 
 
