@@ -170,7 +170,7 @@ def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap) -> Non
         try:
             if line is None:
                 raise ValueError(f"it has more than {LONGEST_LINE} bytes; expected a row")
-            row = rows.row(line.decode(log_map.encoding, errors="replace"))
+            row = rows.row(line.decode(log_map.encoding, errors="replace"), ended=line.endswith(b"\n"))
         except ValueError as error:
             if rows.reader is None:
                 raise

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import warnings
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
@@ -27,6 +27,7 @@ from fusion_sfdia.logs.numbers import Numbers, good_codes
 from fusion_sfdia.logs.order import HOUR, places_changing
 from fusion_sfdia.logs.overview import suspected_times
 from fusion_sfdia.logs.problems import Problems
+from fusion_sfdia.logs.ragged import RECENT, is_cut
 from fusion_sfdia.logs.rows import RowReader
 from fusion_sfdia.logs.times import Expected, Times
 
@@ -88,12 +89,14 @@ class TextRows:
         self.last: datetime | None = None  # of the rows
         self.now: datetime | None = None
         self.times: list[tuple[float, datetime | None, Any]] = []  # of the first rows: seconds, stamp, cell
+        self.last_cells: deque[str] = deque(maxlen=RECENT)  # of the rows, by which a line that ends early is known
         self.compared: dict[str, float] = {}  # the last value of what each comparison of the mask compares
 
-    def row(self, line: str) -> tuple[float | datetime, Array, Array] | None:
+    def row(self, line: str, *, ended: bool = True) -> tuple[float | datetime, Array, Array] | None:
         """The time, y (N,) and u (m,) of a line, NaN where missing; None of an empty line and of a header.
 
-        ValueError for a first line that does not fit the plant, and for a line that is not like it.
+        ended: whether it has its line end, without which the last line of a stream may be cut off. ValueError for a first line
+        that does not fit the plant, for a line that is not like it, and for one that is cut off.
         """
         self.lines += 1
         line = line.lstrip("\ufeff")
@@ -118,6 +121,9 @@ class TextRows:
             return None
         if len(cells) != len(self.header):
             raise ValueError(f"{len(cells)} cells under a header of {len(self.header)}; leave a missing value's cell empty")
+        if not ended and is_cut(cells[-1].strip(), list(self.last_cells)):
+            raise ValueError(f"the last line, without a line end, is cut off in {shown(cells[-1])}")
+        self.last_cells.append(cells[-1])
         return self._numbers(dict(zip(self.header, cells, strict=True)))
 
     def _reader(self, titles: Sequence[str], units: Sequence[str] = ()) -> RowReader:

@@ -25,6 +25,18 @@ def test_csv_by_the_names_of_the_header() -> None:
     assert np.isnan(rows.row(",10,,,,")[2]).all()
 
 
+@pytest.mark.parametrize("end", ["1.0", "1.", "", "1.03\x00"])
+def test_a_last_line_that_is_cut_off_is_no_row(end: str) -> None:
+    rows = TextRows(tanks())
+    rows.row(HEADER)
+    for k in range(5):
+        rows.row(f"6e-4,{5 * (k + 1)},5e-4,1e-3,0.9,1.03{k}5\n", ended=True)
+    with pytest.raises(ValueError, match="the last line, without a line end, is cut off"):
+        rows.row(f"6e-4,30,5e-4,1e-3,0.9,{end}", ended=False)
+    found = rows.row("6e-4,30,5e-4,1e-3,0.9,1.0355", ended=False)  # whole, of a writer that ends its last line without one
+    assert found is not None and found[1][0] == 1.0355
+
+
 @pytest.mark.parametrize(
     ("line", "message"),
     [
