@@ -21,6 +21,7 @@ from fusion_sfdia.cli.inspect import add_inspect
 from fusion_sfdia.cli.listing import add_list
 from fusion_sfdia.cli.logs import add_check_log, add_diagnose, add_simulate
 from fusion_sfdia.cli.monitor import add_monitor
+from fusion_sfdia.cli.options import OnceParser
 from fusion_sfdia.cli.runs import add_compare, add_run
 from fusion_sfdia.cli.signals import handled
 from fusion_sfdia.cli.speed import add_bench
@@ -33,7 +34,7 @@ from fusion_sfdia.registry import DEFAULT_DETECTOR
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of all commands."""
-    top = argparse.ArgumentParser(
+    top = OnceParser(
         prog="fusion-sfdia",
         description="Sensor-fault detection, isolation and accommodation.",
         epilog="Exit codes: 0 done, 1 some work failed or diverged, 2 input that does not fit, 128 and its number by a signal.",

@@ -79,3 +79,25 @@ def printed_warnings() -> Iterator[None]:
         yield
     for warning in issued:
         warn(warning.message)
+
+
+class OnceParser(argparse.ArgumentParser):
+    """A parser that refuses an option with a value which is given twice, of which the first would be lost."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.register("action", None, _Once)
+
+
+class _Once(argparse.Action):
+    """Stores a value, as argparse does by default, for the first time in a namespace only."""
+
+    seen: argparse.Namespace | None = None
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option_string: str | None = None
+    ) -> None:
+        if option_string and self.seen is namespace:
+            raise argparse.ArgumentError(self, "it is given twice; expected once")
+        self.seen = namespace
+        setattr(namespace, self.dest, values)

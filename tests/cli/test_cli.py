@@ -503,3 +503,10 @@ def test_commands_use_one_thread_of_linear_algebra() -> None:
     )
     found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert set(json.loads(found.stdout.splitlines()[-1])) == {1}
+
+
+def test_an_option_that_is_given_twice_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["check-log", "--plant", "two-tanks", "--data", "monday.csv", "--data", "tuesday.csv"])
+    assert ended.value.code == 2
+    assert "argument --data: it is given twice; expected once" in capsys.readouterr().err
