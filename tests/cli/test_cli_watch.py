@@ -128,7 +128,7 @@ def test_a_tuned_detector_watches(monkeypatch: pytest.MonkeyPatch, capsys: pytes
     assert watched(monkeypatch, log.read_bytes(), "--tuned", str(log.parent / "tuned.toml")) == 0
     line = json.loads(capsys.readouterr().out)  # one: its thresholds are far above the faults, which speak against the model
     assert line["event"] == "health" and line["reason"].startswith("model suspect: NIS ")
-    assert watched(monkeypatch, b"", "--tuned", str(log.parent / "tuned.toml"), "--detector", "pca") == 2
+    assert main(["watch", *DETECTOR[:2], "--tuned", str(log.parent / "tuned.toml"), "--detector", "pca"]) == 2
     assert "was tuned for loo-chi2, not pca" in capsys.readouterr().err
 
 
