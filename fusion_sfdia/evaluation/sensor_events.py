@@ -14,7 +14,7 @@ from scipy.special import ndtri
 
 from fusion_sfdia.core.detector import Decision, Detector, chosen
 from fusion_sfdia.evaluation.absent import dropouts, due
-from fusion_sfdia.evaluation.events import Event
+from fusion_sfdia.evaluation.events import EVEN, Event
 from fusion_sfdia.evaluation.fault_kinds import POSSIBLE, Named, name, resized
 from fusion_sfdia.evaluation.hindsight_steps import Residuals
 
@@ -74,6 +74,8 @@ def explained(
                 only = slice(k, end + 1)
                 of_it = resized(named, after.error[only, i], after.sd[only, i], sensor.noise_sigma)
                 confidence, rivals = rivals_at(detector, decisions, i, k)
+                if is_in_doubt(decisions, i, end):
+                    confidence = min(confidence, EVEN)
                 mine.append(replace(_with(e, of_it, sensor.noise_sigma), confidence=confidence, alternatives=rivals))
         for kind, stretches in (("freeze", frozen[i]), ("dropout", silent[i])):
             for a, b in stretches:
@@ -156,6 +158,11 @@ def _until_it_moves(e: Event, t: Array, z: Array, frozen: Sequence[tuple[int, in
     if rest.size and np.mean(rest**2) > HEALTHY**2:
         return e
     return replace(e, end=float(t[ends[-1]]), open=False)
+
+
+def is_in_doubt(decisions: Decision, i: int, end: int) -> bool:
+    """Whether sensor i is a suspect once it is no longer isolated, after sample `end`: the isolation was not upheld."""
+    return decisions.suspect is not None and end + 1 < len(decisions.suspect) and bool(decisions.suspect[end + 1, i])
 
 
 def rivals_at(detector: Detector, decisions: Decision, i: int, k: int) -> tuple[float, tuple[str, ...]]:

@@ -16,7 +16,7 @@ from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run
 from fusion_sfdia.evaluation.model_health import limit_of
-from fusion_sfdia.evaluation.sensor_events import alarm_rate_of, false_alarm_of, rivals_at
+from fusion_sfdia.evaluation.sensor_events import alarm_rate_of, false_alarm_of, is_in_doubt, rivals_at
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.named import diagnose
 
@@ -68,6 +68,18 @@ def test_the_probability_is_that_of_the_likelihood_ratios() -> None:
     assert rivals_at(BANK, twice, 1, 0)[1] == ()  # isolated with it, not instead of it
     large = replace(decisions, residual=1e300 * scores)
     assert rivals_at(BANK, large, 1, 0)[0] == pytest.approx(1 / 3)  # of three that are too large for numbers
+
+
+def test_an_event_is_in_doubt_where_its_sensor_is_a_suspect_after_it() -> None:
+    nothing, none = np.zeros((3, 4)), np.zeros((3, 4), bool)
+    decisions = Decision(nothing, nothing, nothing, np.ones((3, 4)), none, *[nothing] * 4)
+    suspect = none.copy()
+    suspect[2, 1] = True
+    assert is_in_doubt(replace(decisions, suspect=suspect), 1, 1)
+    assert not is_in_doubt(replace(decisions, suspect=suspect), 0, 1)  # another sensor
+    assert not is_in_doubt(replace(decisions, suspect=suspect), 1, 0)  # later
+    assert not is_in_doubt(replace(decisions, suspect=suspect), 1, 2)  # at the end of the log
+    assert not is_in_doubt(decisions, 1, 1)  # of a detector without suspects
 
 
 def test_probabilities_of_the_detector_and_its_suspects_come_first() -> None:
