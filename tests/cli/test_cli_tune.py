@@ -101,11 +101,12 @@ def test_tune_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Path, 
             "tuned.toml: it was tuned for robust-glr, not pca; leave --detector out",
         ),
         (("--tuned", "toy.py"), "toy.py is not a TOML file"),
-        (("--tuned", "tuned.toml", "--plant", "two-tanks"), "tuned.toml: it was tuned for another plant than 'two-tanks'"),
         (("--healthy", "300..400"), "no reading from 300 to 400; the log goes from 1 s to 250 s"),
     ):
         code, _, err = call(capsys, *diagnose, *arguments)
         assert code == 2 and reason in err and err.count("\n") == 1, err
+    code, _, err = call(capsys, "diagnose", "--plant", "two-tanks", *diagnose[3:], "--tuned", "tuned.toml")
+    assert code == 2 and "tuned.toml: it was tuned for another plant than 'two-tanks'" in err and err.count("\n") == 1, err
 
 
 def test_tune_refuses_before_it_learns(
