@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from fusion_sfdia.cli.options import add_detector, add_plant, add_tuned, names
+from fusion_sfdia.cli.options import add_detector, add_names, add_plant, add_tuned
 from fusion_sfdia.core.numerals import integer
 
 
@@ -31,7 +31,7 @@ def add_audit(commands: Any) -> None:
     one.add_argument(
         "--steps", type=integer, default=300, metavar="N", help="rows of a trial, judged from the first (default: 300)"
     )
-    one.add_argument("--groups", metavar="NAME,...", help="readings, start, model, cause (default: all)")
+    add_names(one, "--groups", "readings, start, model, cause (default: all)")
     one.add_argument("--workers", type=integer, metavar="N", help="processes (default: one a core)")
     one.add_argument("--out", type=Path, metavar="FILE.csv", help="write the numbers with their intervals")
     one.add_argument("--force", action="store_true", help="replace a file that is there")
@@ -53,7 +53,7 @@ def _audit(chosen: argparse.Namespace) -> int:
         partial(_built, chosen.plant, chosen.detector, chosen.tuned),
         seeds=range(chosen.first_seed, chosen.first_seed + chosen.seeds),
         steps=chosen.steps,
-        groups=names(chosen.groups) if chosen.groups else GROUPS,
+        groups=chosen.groups or GROUPS,
         workers=chosen.workers or cores(),
         each=_shown,
         name=name,

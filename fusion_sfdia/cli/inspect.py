@@ -8,7 +8,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from fusion_sfdia.cli.options import add_columns, add_plant, add_tuned, loaded, names, printed_warnings, warn_of
+from fusion_sfdia.cli.options import add_columns, add_names, add_plant, add_tuned, loaded, printed_warnings, warn_of
 
 
 def add_inspect(commands: Any) -> None:
@@ -20,8 +20,8 @@ def add_inspect(commands: Any) -> None:
     add_columns(one)
     add_tuned(one)
     one.add_argument("--detector", help="the detector of --tuned, where `list` does not show it")
-    one.add_argument("--detectors", metavar="NAME,...", help="those of the simulated runs (default: one of each school)")
-    one.add_argument("--sensors", metavar="NAME,...", help="those with a fault in simulated runs (default: all of up to 16)")
+    add_names(one, "--detectors", "those of the simulated runs (default: one of each school)")
+    add_names(one, "--sensors", "those with a fault in simulated runs (default: all of up to 16)")
     one.add_argument("--no-simulation", action="store_true", help="theory only")
     one.add_argument("--out", type=Path, metavar="DIR", help="write inspection.txt and inspection.json into a folder")
     one.add_argument("--force", action="store_true", help="write into a folder that is in use")
@@ -54,8 +54,8 @@ def _inspected(chosen: argparse.Namespace) -> int:
         found = inspect_plant(
             model,
             None if healthy is None else healthy.log,
-            detectors=None if chosen.detectors is None else names(chosen.detectors),
-            sensors=None if chosen.sensors is None else names(chosen.sensors),
+            detectors=chosen.detectors,
+            sensors=chosen.sensors,
             simulated=not chosen.no_simulation,
             tuned=None if chosen.tuned is None else tuned_entry(chosen.plant, chosen.detector, chosen.tuned),
         )

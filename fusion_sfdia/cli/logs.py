@@ -179,7 +179,7 @@ def _diagnose(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.cli.tune import diagnosing_detector
     from fusion_sfdia.core.files import locked
     from fusion_sfdia.core.verdicts import Verdict
-    from fusion_sfdia.logs.reading import load_log
+    from fusion_sfdia.logs.check import check_log
     from fusion_sfdia.registry import detector
     from fusion_sfdia.report.log_report import FILES, as_text, diagnose_log
     from fusion_sfdia.report.log_units import LogUnits
@@ -187,7 +187,7 @@ def _diagnose(chosen: argparse.Namespace) -> int:
     out = chosen.out or Path("diagnosis") / chosen.data.stem
     with locked(out, force=chosen.force), printed_warnings():
         name, built, read = diagnosing_detector(chosen)
-        read = read or load_log(chosen.data, built.plant, chosen.map, **columns(chosen))
+        read = read or check_log(chosen.data, built.plant, chosen.map, **columns(chosen))
         anew = partial(detector, name) if chosen.tuned is None and chosen.healthy is None else None
         found = diagnose_log(chosen.data, built, out, read=read, held=True, detector_name=name, build=anew)
     code = int(found.decisions.diverged.any() or found.state is Verdict.BLIND or read.misread)

@@ -11,7 +11,7 @@ from pathlib import Path
 from textwrap import indent
 from typing import Any
 
-from fusion_sfdia.cli.options import names, printed_warnings
+from fusion_sfdia.cli.options import add_names, printed_warnings
 
 OWN_FILES = ("monitor.txt", "methods.csv")
 
@@ -23,8 +23,8 @@ def add_monitor(commands: Any) -> None:
         "--healthy", type=Path, action="append", required=True, metavar="LOG.csv", help="a log without a fault; repeatable"
     )
     one.add_argument("--data", type=Path, required=True, metavar="LOG.csv", help="the log to diagnose, of the same columns")
-    one.add_argument("--inputs", default="", metavar="A,B", help="columns that act on the plant, such as a load or valves")
-    one.add_argument("--ignore", default="", metavar="A,B", help="columns that are left out")
+    add_names(one, "--inputs", "columns that act on the plant, such as a load or valves", [])
+    add_names(one, "--ignore", "columns that are left out", [])
     one.add_argument("--map", type=Path, metavar="MAP.toml", help="how the logs are written, and which columns are used")
     one.add_argument(
         "--false-alarm", default="0.01", metavar="RATE", help="samples in alarm: 1/day, 2/hour or a share (default: 0.01)"
@@ -54,7 +54,7 @@ def _diagnose(chosen: argparse.Namespace, out: Path) -> int:
 
     say = partial(print, file=sys.stderr if chosen.json else sys.stdout, flush=True)
     log_map = load_map(chosen.map) if chosen.map else PLAIN_MAP
-    sensors, inputs = signals_of(chosen.healthy[0], names(chosen.inputs), names(chosen.ignore), log_map)
+    sensors, inputs = signals_of(chosen.healthy[0], chosen.inputs, chosen.ignore, log_map)
     loaded = {path: load(path, sensors, inputs, log_map) for path in (*chosen.healthy, chosen.data)}
     for path, one in loaded.items():
         say(f"{path}:\n{indent(str(one), '  ')}")

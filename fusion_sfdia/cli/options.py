@@ -55,8 +55,12 @@ def loaded(chosen: argparse.Namespace, path: Path, plant: Plant) -> LoadedLog:
     return without_suspects(plant, check_log(path, plant, chosen.map, **columns(chosen)))
 
 
-def names(text: str) -> list[str]:
-    """The names in A,B."""
+def add_names(one: Any, option: str, what: str, default: list[str] | None = None) -> None:
+    """Add an option of names separated by commas, which may be given several times."""
+    one.add_argument(option, type=_names, action="extend", default=default, metavar="NAME,...", help=what)
+
+
+def _names(text: str) -> list[str]:
     return [name.strip() for name in text.split(",") if name.strip()]
 
 

@@ -93,15 +93,14 @@ def diagnosing_detector(chosen: argparse.Namespace) -> tuple[str, Any, Any]:
     if chosen.healthy is None:
         return *bound_detector(chosen.plant, chosen.detector, chosen.tuned), None
     from fusion_sfdia import registry
-    from fusion_sfdia.logs.check import checked, without_suspects
-    from fusion_sfdia.logs.reading import load_log
+    from fusion_sfdia.logs.check import check_log, without_suspects
     from fusion_sfdia.tuning.stretch import on_stretch
 
     if chosen.tuned:
         raise ValueError("--tuned and --healthy both state what is healthy; give one")
     plant, name = registry.plant(chosen.plant), chosen.detector or DEFAULT_DETECTOR
-    whole = load_log(chosen.data, plant, chosen.map, **columns(chosen))
-    tuned = on_stretch(plant, without_suspects(plant, checked(plant, whole)).log, chosen.healthy, name, whole.clock)
+    whole = check_log(chosen.data, plant, chosen.map, **columns(chosen))
+    tuned = on_stretch(plant, without_suspects(plant, whole).log, chosen.healthy, name, whole.clock)
     for remark in tuned.quality["remarks"]:
         warn(f"--healthy {chosen.healthy}: {remark}")
     return name, tuned.detector(plant), whole

@@ -15,7 +15,9 @@ REMARKABLE = (
     "left out", "masked", "mixed units", "no date", "nominal inputs", "order", "period", "quality", "repeat", "resolution",
     "rows left out", "short rows", "time unit suspected", "unit suspected", "zone",
 )  # fmt: skip
-MISREAD = ("dates", "future", "hour missing", "time unit suspected")  # the times are not those of the log
+MISREAD = (  # the times, or the values of a column, are not those of the plant
+    "dates", "future", "hour missing", "input unit suspected", "time unit suspected", "unit suspected",
+)  # fmt: skip
 MOST_OF_A_KIND = 2
 
 
@@ -51,7 +53,7 @@ class LoadedLog(NamedTuple):
 
     @property
     def misread(self) -> bool:
-        """Whether the times are almost surely not what they were taken for, so that the log cannot be used as it was read."""
+        """Whether times or a unit are almost surely not what they were taken for: the log cannot be used as it was read."""
         return any(f.kind in MISREAD for f in self.findings)
 
     @property

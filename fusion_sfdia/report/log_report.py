@@ -24,7 +24,7 @@ from fusion_sfdia.core.verdicts import Verdict
 from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run, present
 from fusion_sfdia.evaluation.events import ProcessEvent, open_questions
 from fusion_sfdia.evaluation.lag import explained_by_lag
-from fusion_sfdia.logs.check import check_log, checked, without_suspects
+from fusion_sfdia.logs.check import check_log, without_suspects
 from fusion_sfdia.logs.csv_log import write_lines, write_log
 from fusion_sfdia.logs.findings import LoadedLog
 from fusion_sfdia.logs.log_map import LogMap
@@ -61,17 +61,17 @@ def diagnose_log(
 
     A bar shows the progress on a terminal.
 
-    log_map: how the log is written, see `load_log`. read: what `load_log` has found, where it was called already. Sensors whose
-    unit looks wrong, and readings that only repeat the one before, are taken as missing: that is no fault. build: makes the
-    detector anew where readings of sensors are found to be coarse or cyclic, by default itself. held: whether the caller has
-    `locked` the folder.
+    log_map: how the log is written, see `load_log`. read: what `check_log` has found, where it was called already. Sensors
+    whose unit looks wrong, and readings that only repeat the one before, are taken as missing: that is no fault. build: makes
+    the detector anew where readings of sensors are found to be coarse or cyclic, by default itself. held: whether the caller
+    has `locked` the folder.
     Raises ValueError naming the file where the log does not fit (see load_log), and where the folder is not free or another
     process writes into it; warns of what reading the log found, and as `diagnose_run` does.
     """
     plant = detector.plant
     given = {"absent_sensors": absent_sensors, "other_columns": other_columns, "nominal_inputs": nominal_inputs}
     with nullcontext() if held else locked(out, force=force):
-        loaded = check_log(data, plant, log_map, **given) if read is None else checked(plant, read)
+        loaded = check_log(data, plant, log_map, **given) if read is None else read
         for remark in loaded.brief:
             warnings.warn(f"{data}: {remark}", stacklevel=2)
         detector = regularities(plant, loaded.log).detector(detector, build)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import errno
 import json
 import os
@@ -21,6 +22,7 @@ from fusion_sfdia import __version__, registry, scenarios
 from fusion_sfdia.cli import listing, runs
 from fusion_sfdia.cli.logs import _size
 from fusion_sfdia.cli.main import main
+from fusion_sfdia.cli.monitor import add_monitor
 from fusion_sfdia.comparison import protocol
 from fusion_sfdia.core.files import locked, locked_file
 from fusion_sfdia.evaluation.faults import FAULT_KINDS, Fault, load_faults
@@ -510,3 +512,12 @@ def test_an_option_that_is_given_twice_is_refused(capsys: pytest.CaptureFixture[
         main(["check-log", "--plant", "two-tanks", "--data", "monday.csv", "--data", "tuesday.csv"])
     assert ended.value.code == 2
     assert "argument --data: it is given twice; expected once" in capsys.readouterr().err
+
+
+def test_options_of_names_may_be_given_several_times() -> None:
+    commands = argparse.ArgumentParser().add_subparsers()
+    add_monitor(commands)
+    parsed = commands.choices["monitor"].parse_args(
+        ["--healthy", "a.csv", "--data", "b.csv", "--inputs", "load, valve", "--inputs", "speed"]
+    )
+    assert parsed.inputs == ["load", "valve", "speed"] and parsed.ignore == []
