@@ -143,9 +143,10 @@ def answered(now: Look, asked: Question) -> tuple[Look, Array]:
 
     doubt = now.doubt[..., some] & biases
     enough = now.samples > ENOUGH
-    unclear = biases & sums.replaced(isolated, some.size, margin)
     unshown = biases & within & (now.stood.any(axis=-1) & (against > 0))[..., None]
-    doubt = np.where((enough & now.first)[..., None], unclear, np.where((enough & fits)[..., None], unshown, doubt))
+    doubt = np.where((enough & fits)[..., None], unshown, doubt)
+    if (knows := enough & now.first).any():
+        doubt = np.where(knows[..., None], biases & sums.replaced(isolated, some.size, margin), doubt)
     every = np.zeros(out.shape, bool)
     every[..., some] = doubt
     return now._replace(doubt=every), right
@@ -176,14 +177,10 @@ class Sums(NamedTuple):
 
     def replaced(self, isolated: Array, biases: int, margin: float) -> Array:
         """Whether one jump in the place of each bias (..., biases) explains as much, but for the margin, as all `isolated`."""
-        own = self.evidence(isolated)
-        found = np.zeros((*own.shape, biases), bool)
-        for i in range(biases):
-            for j in range(biases, self.size.size):
-                other = isolated.copy()
-                other[..., i], other[..., j] = False, True
-                found[..., i] |= own - self.evidence(other) < margin
-        return found
+        bias, jump = np.split(np.eye(self.size.size, dtype=bool), [biases])
+        others = (isolated[..., None, None, :] & ~bias[:, None]) | jump  # (..., biases, jumps, q)
+        rivals = Sums(self.a[..., None, None, :], self.A[..., None, None, :, :], self.size).evidence(others)
+        return np.asarray(np.any(self.evidence(isolated)[..., None, None] - rivals < margin, axis=-1))
 
 
 def remembered(now: Look, stands: Array, process: Array) -> Look:

@@ -325,6 +325,8 @@ class RobustBank(ExcludingBank):
                 recent, slow, last = windows
                 now = again._replace(estimate=estimate, recent=recent, slow=slow, update=last)
         stands = np.asarray(now.exclusion.out.any(axis=-1) | now.standing.accepted.any(axis=-1))
+        if not (stands.any() or (look.samples > 0).any() or look.stood.any()):
+            return now
         anew = anew | (stands & (look.samples == 0))
         lasted = np.where(look.first, FIRST, MOST)
         later = stands & ~anew & (look.samples > lasted)
