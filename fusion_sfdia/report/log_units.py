@@ -55,7 +55,9 @@ class LogUnits:
         if after is not None and not self.same:
             after = after._replace(error=after.error / self.factor, sd=after.sd / np.abs(self.factor))
         if health is not None:
-            health = health._replace(excess={self._named(name): value for name, value in health.excess.items()})
+            excess, shifts = ({self._named(n): value for n, value in of.items()} for of in (health.excess, health.shifts))
+            untested = tuple(map(self._named, health.untested))
+            health = health._replace(excess=excess, shifts=shifts, untested=untested)
         made = self.readings(found.decisions.reconstruction)
         return replace(
             found,

@@ -55,6 +55,32 @@ def test_healthy_logs_are_not_suspected() -> None:
     assert not any(health(rng.standard_normal((120, 4))).suspect for _ in range(500))
 
 
+def test_what_is_said_to_be_seen_is_seen() -> None:
+    """Of 300 logs with the stated mismatch 0.977 are expected to be seen; 0.95 is 3 standard errors less."""
+    rng = np.random.default_rng(2)
+    visible = health(rng.standard_normal((620, 4))).visible
+    assert f"{visible.spread:.2g} times as large as stated, or" in health(rng.standard_normal((620, 4))).line
+    larger, later = np.array([1.0, 1.0, visible.spread, 1.0]), np.zeros((620, 4))
+    later[250:550, 1] = -visible.shift  # half of those after the start, wherever it begins
+    seen = np.zeros((300, 2))
+    for k in range(len(seen)):
+        z = rng.standard_normal((620, 4))
+        assert not health(z).shifts and not health(z).excess
+        seen[k] = set(health(larger * z).excess) == {"c"}, set(health(z + later).shifts) == {"b"}
+    assert (seen.mean(axis=0) > 0.95).all()
+
+
+def test_a_sensor_that_reads_off_or_has_hardly_a_reading_is_named() -> None:
+    z = np.random.default_rng(3).standard_normal((600, 4))
+    line = health(z + np.outer(np.linspace(-2.0, 2.0, 600), [0, 0, 0, 1])).line
+    assert line.startswith("model fits, with reservations: ")
+    assert "1 of 4 sensors read off for a part of the log: d (by " in line
+    silent = z.copy()
+    silent[30:, 2] = np.nan
+    assert health(silent).untested == ("c",) and "; not tested: c; " in health(silent).line
+    assert health(z + 2.0).suspect and set(health(z + 2.0).shifts) == set(NAMES)
+
+
 def test_too_few_samples_are_not_tested_and_a_start_does_not_count() -> None:
     z = np.random.default_rng(0).standard_normal((100, 4))
     z[:20] *= 30  # the filter settles
