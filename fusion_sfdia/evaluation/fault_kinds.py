@@ -23,7 +23,7 @@ Array = NDArray[Any]
 
 KINDS = ("bias", "drift", "freeze", "noise", "spikes", "dropout")
 QUIET = 2.5  # standard deviations: the end of a fault is its last residual above
-RISES = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2)  # of an event, in which a drift reaches its size
+RISES = tuple(np.linspace(1.0, 0.2, 33).tolist())  # of an event, in which a drift reaches its size
 CHANGE = 0.3  # of the largest size: what changes less is a bias
 EQUAL = 0.8  # share of successive readings that are equal, of a frozen sensor
 SURE = 4.0  # standard errors of a mean or change, as noise has a mean, too

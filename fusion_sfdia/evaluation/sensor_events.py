@@ -15,7 +15,7 @@ from scipy.special import ndtri
 from fusion_sfdia.core.detector import Decision, Detector, chosen
 from fusion_sfdia.evaluation.absent import dropouts, due
 from fusion_sfdia.evaluation.events import EVEN, Event
-from fusion_sfdia.evaluation.fault_kinds import POSSIBLE, Named, name, resized
+from fusion_sfdia.evaluation.fault_kinds import FEW, POSSIBLE, QUIET, Named, name, resized
 from fusion_sfdia.evaluation.hindsight_steps import Residuals
 
 Array = NDArray[Any]
@@ -71,10 +71,10 @@ def explained(
                 after.error[part, i], after.sd[part, i], sensor.noise_sigma, y[part, i][expected[part]], still=still, over=over
             )
             for e, (k, end) in zip(own[first : last + 1], spans[first : last + 1], strict=True):
-                only = slice(k, end + 1)
-                of_it = resized(named, after.error[only, i], after.sd[only, i], sensor.noise_sigma)
+                error, sd = after.error[k : end + 1, i], after.sd[k : end + 1, i]
+                of_it = resized(named, error, sd, sensor.noise_sigma)
                 confidence, rivals = rivals_at(detector, decisions, i, k)
-                if is_in_doubt(decisions, i, end):
+                if is_in_doubt(decisions, i, end) or (end < len(t) - 1 and may_be_outliers(error, sd)):
                     confidence = min(confidence, EVEN)
                 mine.append(replace(_with(e, of_it, sensor.noise_sigma), confidence=confidence, alternatives=rivals))
         for kind, stretches in (("freeze", frozen[i]), ("dropout", silent[i])):
@@ -163,6 +163,12 @@ def _until_it_moves(e: Event, t: Array, z: Array, frozen: Sequence[tuple[int, in
 def is_in_doubt(decisions: Decision, i: int, end: int) -> bool:
     """Whether sensor i is a suspect once it is no longer isolated, after sample `end`: the isolation was not upheld."""
     return decisions.suspect is not None and end + 1 < len(decisions.suspect) and bool(decisions.suspect[end + 1, i])
+
+
+def may_be_outliers(error: Array, sd: Array) -> bool:
+    """Whether at most `FEW` residuals (K,) of an event that is over are large: a healthy sensor may have as many outliers."""
+    known = np.isfinite(error) & np.isfinite(sd)
+    return bool(known.any() and np.sum(np.abs(error[known]) > QUIET * sd[known]) <= FEW)
 
 
 def rivals_at(detector: Detector, decisions: Decision, i: int, k: int) -> tuple[float, tuple[str, ...]]:

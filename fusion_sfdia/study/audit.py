@@ -14,7 +14,9 @@ from threadpoolctl import threadpool_limits
 
 from fusion_sfdia.core.detector import Decision, Detector, of_run
 from fusion_sfdia.core.gaps import Gap, Track, bridged
-from fusion_sfdia.evaluation.diagnose import DiagnosisWarning, concluded, decided
+from fusion_sfdia.evaluation.diagnose import DiagnosisWarning, concluded, decided, diagnose_run
+from fusion_sfdia.evaluation.events import Event
+from fusion_sfdia.evaluation.lag import explained_by_lag
 from fusion_sfdia.evaluation.metrics import Estimate, proportion, rate_over_runs
 from fusion_sfdia.evaluation.results import Row, row_of
 from fusion_sfdia.experiments.workers import in_processes
@@ -110,7 +112,10 @@ def judged_trial(
     named, suspected = (
         np.zeros(len(faulty), bool) if held is None else held.any(axis=-1) for held in (decisions.process, decisions.suspect)
     )
-    events = concluded(detector, log, track, gaps, decisions).events if np.any(isolated) or np.any(named) else ()
+    events: tuple[Event, ...] = ()
+    if np.any(isolated) or np.any(named):
+        found = concluded(detector, log, track, gaps, decisions)
+        events = explained_by_lag(detector, log, found, partial(diagnose_run, detector)).events
 
     def faulty_between(start: float, end: float) -> set[str]:
         fails = np.any(faulty[(log.t >= start) & (log.t <= end)], axis=0)

@@ -16,7 +16,13 @@ from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run
 from fusion_sfdia.evaluation.model_health import limit_of
-from fusion_sfdia.evaluation.sensor_events import alarm_rate_of, false_alarm_of, is_in_doubt, rivals_at
+from fusion_sfdia.evaluation.sensor_events import (
+    alarm_rate_of,
+    false_alarm_of,
+    is_in_doubt,
+    may_be_outliers,
+    rivals_at,
+)
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.named import diagnose
 
@@ -80,6 +86,27 @@ def test_an_event_is_in_doubt_where_its_sensor_is_a_suspect_after_it() -> None:
     assert not is_in_doubt(replace(decisions, suspect=suspect), 1, 0)  # later
     assert not is_in_doubt(replace(decisions, suspect=suspect), 1, 2)  # at the end of the log
     assert not is_in_doubt(decisions, 1, 1)  # of a detector without suspects
+
+
+def test_two_large_residuals_may_be_outliers_and_three_are_a_fault() -> None:
+    sd = np.ones(6)
+    assert may_be_outliers(np.array([9.0, -9.0, 1.0, 2.4, np.nan, 0.0]), sd)
+    assert not may_be_outliers(np.array([9.0, 9.0, 1.0, 2.6, np.nan, 0.0]), sd)
+    assert not may_be_outliers(np.full(6, np.nan), sd)  # nothing is known of it
+
+
+def test_an_event_of_two_outliers_is_as_likely_none() -> None:
+    """So far its confidence was 1.0: the sensor had read 12 sigma off twice in a row."""
+    t, _, y, u = readings(PLANT, 120, 1, seed=0)
+    y = y[:, 0].copy()
+    y[60:62, 2] += 12 * PLANT.sensor_sigma[2]
+    for count, confident in ((2, False), (12, True)):
+        y[90 : 90 + count, 1] += 12 * PLANT.sensor_sigma[1]
+        events = [e for e in diagnose("robust-glr", t, y, u[:, 0], plant=PLANT).events if e.kind == "sensor"]
+        (spike,) = [e for e in events if e.start < t[70]]
+        assert spike.confidence <= 0.5
+        (later,) = [e for e in events if e.start >= t[70]]
+        assert (later.confidence > 0.9) is confident
 
 
 def test_probabilities_of_the_detector_and_its_suspects_come_first() -> None:

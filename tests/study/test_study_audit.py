@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fusion_sfdia import LeaveOneOutBank, Plant, audit, check_plant, random_plant, registry, simulate, two_tanks
+from fusion_sfdia import LeaveOneOutBank, Plant, audit, check_plant, diagnose, random_plant, registry, simulate, two_tanks
 from fusion_sfdia.study.audit import GRACE, KINDS, lasting, outcomes, result_of
 from fusion_sfdia.study.protocol import CASES, Case, Trial, cases_for, trial
 from fusion_sfdia.study.truths import Variation, declared, varied
@@ -63,6 +63,19 @@ def test_trials_that_are_run_together_have_the_outcomes_that_each_has_alone(name
     for case in ("ar-0.95", "two-biases", "process-step"):
         together, _ = outcomes(detector, BY_NAME[case], (1, 2, 3), 120)
         assert together == [outcomes(detector, BY_NAME[case], (seed,), 120)[0][0] for seed in (1, 2, 3)]
+
+
+def test_the_events_of_a_trial_are_those_of_a_diagnosis_of_its_log() -> None:
+    """Among them none of a late sensor, which a diagnosis finds to be late."""
+    plant = random_plant(511)
+    detector = registry.detector("robust-glr", plant)
+    for name, seed in (("late-sensor", 14005), ("bias-10", 3)):
+        case = next(c for c in CASES if c.name == name)
+        ((outcome,), _) = outcomes(detector, case, [seed])
+        log = trial(plant, case, seed).log
+        events = [e for e in diagnose(detector, log).events if e.kind == "sensor" and np.isfinite(e.confidence)]
+        assert [c for c, _ in outcome.events] == pytest.approx([e.confidence for e in events])
+        assert bool(events) is (name == "bias-10")
 
 
 def test_a_trial_outside_the_limits_of_the_plant_is_left_out_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
