@@ -26,7 +26,8 @@ ABOUT = f"""# Kinds of faults, as named by a diagnosis
 the readings) acts on a random sensor for 40 to 69 of 160 samples, {len(SEEDS)} of each kind for each plant and detector. Rows:
 what the fault was; columns: what the longest event of its sensor while it acts is named. The rules (`fault_kinds`) were
 chosen on other seeds. Last columns: in how many of the events of the right kind the 95 % interval of the size holds the true
-size, and how many other sensors had an event.
+size, and how many other sensors had an event. `robust-glr` isolates a sensor by two far readings in a row, since one may be an
+outlier of a healthy sensor: of spikes that come one by one it says nothing.
 """
 
 
