@@ -17,6 +17,7 @@ Array = NDArray[Any]
 PACKAGE = Path(__file__).resolve().parents[1]
 MODELS = (PACKAGE / "models", PACKAGE.parent / "models")
 LIBRARIES = ("site-packages", "dist-packages")
+RAISED = (Exception, SystemExit, GeneratorExit)  # what a model may raise; KeyboardInterrupt is of the user
 
 
 class ModelError(ValueError):
@@ -50,7 +51,7 @@ def _kind(given: Any, found: Array) -> str:
     return "None" if given is None else type(given).__name__ if found.dtype == object else f"values of type {found.dtype}"
 
 
-def described(error: Exception) -> str:
+def described(error: BaseException) -> str:
     """What a model did wrong: "`flow` (tank.py, line 12) raised KeyError: 'p'"."""
     if isinstance(error, ModelError):
         return str(error)
@@ -62,7 +63,7 @@ def described(error: Exception) -> str:
     return f"its function `{frames[-1].name}` ({Path(frames[-1].filename).name}, line {frames[-1].lineno}) raised {raised}"
 
 
-def failed(plant: Plant, when: str, error: Exception) -> Exception:
+def failed(plant: Plant, when: str, error: BaseException) -> Exception:
     """A ModelError that names plant, time, function and error; an error itself that is for the caller and of no model."""
     of_a_model = any(_of_a_model(f.filename) for f in traceback.extract_tb(error.__traceback__)[1:])
     if isinstance(error, ValueError | ArithmeticError) and not of_a_model:

@@ -24,7 +24,7 @@ from fusion_sfdia.core.detector import (
 )
 from fusion_sfdia.core.gaps import Gap, Track, bridged
 from fusion_sfdia.core.log import Log, one_run
-from fusion_sfdia.core.model_errors import failed
+from fusion_sfdia.core.model_errors import RAISED, failed
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.redundancy import redundancy
 from fusion_sfdia.core.verdicts import ALL_FAR, NO_THRESHOLDS, TOO_MANY, Conclusion, Verdict, far_off, judged, undecidable
@@ -249,7 +249,7 @@ def concluded(
     with threadpool_limits(1):
         try:
             look = hindsight(model_of(detector), track, out, each)
-        except Exception as error:  # of the model, which may raise anything
+        except RAISED as error:
             raise failed(detector.plant, "in the second look", error) from error
     starts = np.flatnonzero(np.isfinite(track.begins[track.own]))
     health, after = health_of(detector.plant.sensor_names, look, starts, alarm_rate_of(detector), ()), look.residuals
@@ -304,7 +304,7 @@ def decided(
                 detector.steps(detector.init(batch, float(track.begins[a])), track.t[a:b], track.y[a:b], track.u[a:b])[1]
                 for a, b in zip(starts, [*starts[1:], track.t.size], strict=True)
             ]
-        except Exception as error:  # of the model, which may raise anything
+        except RAISED as error:
             raise failed(detector.plant, "in this log", error) from error
         whole = runs[0] if len(runs) == 1 else joined(runs)
         return whole if track.own.all() else chosen(whole, track.own)
@@ -314,7 +314,7 @@ def decided(
             state = detector.init(batch, float(track.begins[s]))
         try:
             state, decision = detector.step(state, float(track.t[s]), track.y[s], track.u[s])
-        except Exception as error:  # of the model, which may raise anything
+        except RAISED as error:
             raise failed(detector.plant, f"at {clock.at(float(track.t[s]))}", error) from error
         if track.own[s]:
             found.append(replace(decision, covariance=None))

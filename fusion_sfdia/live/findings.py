@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import Decision, Detector
-from fusion_sfdia.core.model_errors import described
+from fusion_sfdia.core.model_errors import RAISED, described
 from fusion_sfdia.core.storage import SavedArrays
 from fusion_sfdia.core.verdicts import Conclusion
 from fusion_sfdia.evaluation.events import Event
@@ -45,7 +45,7 @@ class Findings:
             if any(c.what in ("opened", "closed") for c in now):
                 self.look.happened([c.id for c in now if c.what == "closed"])
             return [*now, *self._told(seen.t, *self.look.changes(opened, clock, self.changes.count + 1))]
-        except Exception as error:  # of the model, which may raise anything
+        except RAISED as error:
             self.look = self.look.anew()
             self.refused(f"row at {clock.at(seen.t)}: kinds of faults are named from the next row on: {described(error)}")
             return now
@@ -76,7 +76,7 @@ class Findings:
         """What the second look knows by now; nothing where the model, which may raise anything, fails again."""
         try:
             return look.final(clock, self.changes.count + 1)
-        except Exception:
+        except RAISED:
             return [], ""
 
     def _told(self, t: float, events: Sequence[tuple[int, Event]], health: str) -> list[Change]:

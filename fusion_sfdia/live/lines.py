@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import Detector
+from fusion_sfdia.core.model_errors import RAISED
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.verdicts import Verdict, far_off
 from fusion_sfdia.live.changes import Change
@@ -105,7 +106,7 @@ def validated(plant: Plant, sample: Sample) -> tuple[Array, Array]:
     if replaced.any():
         expected = np.full_like(sigma, np.nan)
         if d.covariance is not None and np.all(np.isfinite(d.estimate)):
-            with suppress(Exception), np.errstate(all="ignore"):  # of the model, which may raise anything
+            with suppress(*RAISED), np.errstate(all="ignore"):
                 h = plant.output_jacobian_at(sample.t, d.estimate, sample.u)
                 expected = np.sqrt(np.maximum(np.sum((h @ d.covariance) * h, axis=-1), 0.0))
         sigma = np.where(replaced, expected, sigma)

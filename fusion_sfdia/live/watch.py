@@ -16,7 +16,7 @@ from fusion_sfdia.core.arguments import floats, number, whole
 from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import Decision, Detector
 from fusion_sfdia.core.gaps import MOST_BRIDGES, lead_in, longest_step, steps_over
-from fusion_sfdia.core.model_errors import ModelError, described, require_model
+from fusion_sfdia.core.model_errors import RAISED, ModelError, described, require_model
 from fusion_sfdia.core.state import State
 from fusion_sfdia.core.storage import (
     SavedArrays,
@@ -138,7 +138,7 @@ class Watch:
         self.limits = tuple(np.array([getattr(s, which) for s in detector.plant.inputs]) for which in ("low", "high"))
         self.known_at = np.full(len(detector.plant.inputs), -np.inf)  # time of the last value of each input
         self.lost = False  # whether the estimate of the last row had diverged
-        self.failing: type[Exception] | None = None  # the error of the model in the last row
+        self.failing: type[BaseException] | None = None  # the error of the model in the last row
         self.x = detector.plant.x0  # the last estimate
         self.concluded = Conclusion(Verdict.BLIND, "no row was judged yet")
         self.order = InOrder(number("reorder", reorder), self.longest_gap, refused, keep_last, detector.plant.dt)
@@ -210,7 +210,7 @@ class Watch:
         try:
             state, decision, steps = self._stepped(row, u, begins)
             failing, failure = None, ""
-        except Exception as error:  # of the model, which may raise anything
+        except RAISED as error:
             state, decision, steps = None, self._no_decision(), []
             failing, failure = type(error), f"the model failed: {described(error)}"
         if failing is not None:

@@ -19,10 +19,10 @@ class OwnError(Exception):
 
 
 @pytest.mark.parametrize(
-    "error", [KeyError("flow"), IndexError("3"), OwnError("own"), ValueError("negative"), ZeroDivisionError()]
+    "error", [KeyError("flow"), IndexError("3"), OwnError("own"), ValueError("negative"), ZeroDivisionError(), SystemExit(0)]
 )
 @pytest.mark.parametrize("which", ["step", "output"])
-def test_the_error_names_plant_time_function_line_and_cause(error: Exception, which: str) -> None:
+def test_the_error_names_plant_time_function_line_and_cause(error: BaseException, which: str) -> None:
     plant = tanks()
     own: Any = getattr(plant, which)
 

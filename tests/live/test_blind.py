@@ -44,7 +44,7 @@ class OwnError(Exception):
     """An error of a model."""
 
 
-def raising(error: Exception) -> Callable[[Any], Any]:
+def raising(error: BaseException) -> Callable[[Any], Any]:
     def fails(value: Any) -> Any:
         raise error
 
@@ -73,6 +73,8 @@ FAILURES: dict[str, Callable[[Any], Any]] = {
     "MemoryError": raising(MemoryError()),
     "UnicodeDecodeError": raising(UnicodeDecodeError("utf-8", b"x", 0, 1, "bad")),
     "OwnError": raising(OwnError("own")),
+    "SystemExit": raising(SystemExit(0)),
+    "GeneratorExit": raising(GeneratorExit()),
     "complex": lambda value: value + 1e-3j,
     "complex of reals": lambda value: value + 0j,
     "None": lambda value: None,
@@ -161,12 +163,11 @@ def test_jacobians_may_fail_too_and_the_second_look_with_them() -> None:
         assert len(remarks) == 1 and watch.last() is not None
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit])
-def test_an_interruption_passes(error: type[BaseException]) -> None:
+def test_an_interruption_passes() -> None:
     def fails(value: Any) -> Any:
-        raise error
+        raise KeyboardInterrupt
 
-    with pytest.raises(error):
+    with pytest.raises(KeyboardInterrupt):
         taken(Watch(LeaveOneOutBank(failing(tanks(), "step", fails))), rows_of())
 
 
