@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.gaps import steps_in
 from fusion_sfdia.core.log import Log
+from fusion_sfdia.core.model_errors import RAISED
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.logs.findings import Finding
@@ -34,8 +36,11 @@ def suspected_units(plant: Plant, log: Log) -> list[Finding]:
     log = _corrected(log, mixed)
     predicted = _predicted(plant, log)
     if predicted is None:
-        nominal = plant.output(float(log.t[0]), plant.x0, plant.input_at(float(log.t[0])))
-        predicted = np.tile(np.asarray(nominal, dtype=float), (max(min(ROWS, log.t.size), PARTS), 1))
+        try:
+            nominal = np.asarray(plant.output(float(log.t[0]), plant.x0, plant.input_at(float(log.t[0]))), dtype=float)
+        except RAISED:
+            return found
+        predicted = np.tile(nominal, (max(min(ROWS, log.t.size), PARTS), 1))
     cyclic = () if plant.cyclic_sensors is None else plant.cyclic_sensors.at
     for i, sensor in enumerate(plant.sensors):
         readings = log.y[:, i]
@@ -98,24 +103,24 @@ def _of_input(signal: Signal, u: Array, best: MixUp) -> Finding:
 
 def _predicted(plant: Plant, log: Log) -> Array | None:
     """Readings (K', N) that the model predicts for the first rows, from x0 under the inputs of the log; None where it fails."""
+    try:
+        with np.errstate(all="ignore"):
+            found = np.array(list(_predictions(plant, log)), dtype=float)
+    except RAISED:
+        return None
+    return found if len(found) >= PARTS and np.isfinite(found).all() else None
+
+
+def _predictions(plant: Plant, log: Log) -> Iterator[Array]:
     rows = min(ROWS, log.t.size)
     gaps = np.diff(log.t[:rows], prepend=log.t[0] - plant.dt)
     parts = np.maximum(steps_in(gaps, plant.dt), 1)
-    rows = int(np.searchsorted(np.cumsum(parts), STEPS, side="right"))
-    predicted, x = [], plant.x0
+    x = plant.x0
     with_jacobian, _ = plant.with_jacobians  # which a filter needs, too: nothing else is compiled
-    with np.errstate(all="ignore"):
-        for k in range(rows):
-            dt = plant.dt if plant.numerics.fixed_dt else float(gaps[k] / parts[k])
-            for j in range(int(parts[k])):
-                t_start = float(log.t[k] - (parts[k] - j) * dt)
-                try:
-                    ahead = (
-                        with_jacobian(t_start, x, log.u[k], dt)[0] if with_jacobian else plant.step(t_start, x, log.u[k], dt)
-                    )
-                    x = plant.guard(ahead)[0]
-                except (ValueError, ArithmeticError):
-                    return None
-            predicted.append(plant.output(float(log.t[k]), x, log.u[k]))
-    found = np.array(predicted, dtype=float)
-    return found if rows >= PARTS and np.isfinite(found).all() else None
+    for k in range(int(np.searchsorted(np.cumsum(parts), STEPS, side="right"))):
+        dt = plant.dt if plant.numerics.fixed_dt else float(gaps[k] / parts[k])
+        for j in range(int(parts[k])):
+            t_start = float(log.t[k] - (parts[k] - j) * dt)
+            ahead = with_jacobian(t_start, x, log.u[k], dt)[0] if with_jacobian else plant.step(t_start, x, log.u[k], dt)
+            x = plant.guard(ahead)[0]
+        yield plant.output(float(log.t[k]), x, log.u[k])

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 from realistic_logs import vessel
+from toy_plants import tanks
 
 from fusion_sfdia import registry, two_tanks
 from fusion_sfdia.core.log import Log
@@ -140,3 +144,18 @@ def test_an_input_in_another_unit_is_suspected(stated: float, words: str) -> Non
 def test_an_input_that_is_far_from_its_nominal_value_is_not_suspected_where_the_readings_follow_it() -> None:
     for inflow in (0.0, 1e-3, 0.012, 0.1, 3.0):
         assert two_tanks_at(inflow, 1.0) == [], inflow
+
+
+@pytest.mark.parametrize("error", [KeyError("flow"), SystemExit(0), TypeError("complex"), np.linalg.LinAlgError("singular")])
+@pytest.mark.parametrize("which", ["step", "output"])
+def test_of_a_model_that_fails_nothing_is_suspected(which: str, error: BaseException) -> None:
+    plant = tanks()
+    own: Any = getattr(plant, which)
+
+    def fails(t: float, *arguments: Any) -> Any:
+        if t > 50:
+            raise error
+        return own(t, *arguments)
+
+    recording = simulate(plant, STEPS, [0])
+    assert names(replace(plant, **{which: fails}), recording, 0, recording.y[:, 0]) == []
