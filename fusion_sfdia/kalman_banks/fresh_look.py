@@ -146,7 +146,7 @@ def answered(now: Look, asked: Question) -> tuple[Look, Array]:
     unshown = biases & within & (now.stood.any(axis=-1) & (against > 0))[..., None]
     doubt = np.where((enough & fits)[..., None], unshown, doubt)
     if (knows := enough & now.first).any():
-        doubt = np.where(knows[..., None], biases & sums.replaced(isolated, some.size, margin), doubt)
+        doubt = np.where(knows[..., None], sums.replaced(isolated, some.size, knows, margin), doubt)
     every = np.zeros(out.shape, bool)
     every[..., some] = doubt
     return now._replace(doubt=every), right
@@ -175,12 +175,22 @@ class Sums(NamedTuple):
         scaled = np.where(held, self.A * self.size[:, None] * self.size, 0.0) + np.eye(self.size.size)
         return np.asarray(np.sum(a * np.linalg.solve(scaled, a[..., None])[..., 0], axis=-1) - np.linalg.slogdet(scaled)[1])
 
-    def replaced(self, isolated: Array, biases: int, margin: float) -> Array:
-        """Whether one jump in the place of each bias (..., biases) explains as much, but for the margin, as all `isolated`."""
-        bias, jump = np.split(np.eye(self.size.size, dtype=bool), [biases])
-        others = (isolated[..., None, None, :] & ~bias[:, None]) | jump  # (..., biases, jumps, q)
-        rivals = Sums(self.a[..., None, None, :], self.A[..., None, None, :, :], self.size).evidence(others)
-        return np.asarray(np.any(self.evidence(isolated)[..., None, None] - rivals < margin, axis=-1))
+    def replaced(self, isolated: Array, biases: int, where: Array, margin: float) -> Array:
+        """Whether one jump in the place of each bias (..., biases) explains as much, but for the margin, as all `isolated`; of
+        the isolated ones in the runs `where` (...) holds.
+        """
+        q = self.size.size
+        a, A, which = self.a.reshape(-1, q), self.A.reshape(-1, q, q), isolated.reshape(-1, q)
+        found, jumps = np.zeros((len(which), biases), bool), np.eye(q, dtype=bool)[biases:]
+        for i in range(biases):
+            runs = np.flatnonzero(where.ravel() & which[:, i])
+            if not runs.size:
+                continue
+            others = (which[runs, None] & (np.arange(q) != i)) | jumps  # (runs, jumps, q)
+            rivals = Sums(a[runs, None], A[runs, None], self.size).evidence(others)
+            own = Sums(a[runs], A[runs], self.size).evidence(which[runs])
+            found[runs, i] = np.any(own[:, None] - rivals < margin, axis=-1)
+        return found.reshape(*where.shape, biases)
 
 
 def remembered(now: Look, stands: Array, process: Array) -> Look:

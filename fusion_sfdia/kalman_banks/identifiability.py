@@ -49,9 +49,9 @@ class Identifiability:
 
     All sizes (N,) are in standard deviations sigma of the sensor; inf where the readings do not show the fault. bias, drift:
     with what the plant states as its uncertainty estimated along; bias_known, drift_known: with all of that known. drift: the
-    size reached after `samples` of a steady growth. rho (N, P): what the innovations of a bias and of a jump of each
-    hypothesis have in common, from -1 to 1. between (N, N): the same of the biases of two sensors. samples: after the onset.
-    settle: before it.
+    size reached after `samples` of a steady growth. rho, rho_drift (N, P): what the innovations of a bias and of a drift have
+    in common with those of a jump of each hypothesis, from -1 to 1. between (N, N): the same of the biases of two sensors.
+    samples: after the onset. settle: before it.
     """
 
     plant: str
@@ -64,6 +64,7 @@ class Identifiability:
     drift: Array
     drift_known: Array
     rho: Array
+    rho_drift: Array
     between: Array
     samples: int
     settle: int
@@ -83,8 +84,12 @@ class Identifiability:
     @property
     def told_apart(self) -> Array:
         """The smallest bias that is also told apart from that hypothesis (N,)."""
-        with np.errstate(divide="ignore"):
-            return np.asarray(self.bias / np.sqrt(np.maximum(1.0 - self.overlap**2, 0.0)))
+        return _apart(self.bias, self.rho)
+
+    @property
+    def drift_told_apart(self) -> Array:
+        """The smallest drift that is also told apart from the hypothesis that it has most in common with (N,)."""
+        return _apart(self.drift, self.rho_drift)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -121,6 +126,12 @@ class Identifiability:
     __repr__ = __str__
 
 
+def _apart(size: Array, rho: Array) -> Array:
+    """The size (N,) that leaves as much evidence beside the rival with the largest |rho| (N, P)."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(size / np.sqrt(np.maximum(1.0 - np.max(np.abs(rho), axis=-1, initial=0.0) ** 2, 0.0)))
+
+
 def identifiability(plant: Plant, samples: float = 60, settle: int = 60) -> Identifiability:
     """State which sensor faults can be detected on a plant, and with which error of the model a bias is confounded.
 
@@ -147,6 +158,7 @@ def identifiability(plant: Plant, samples: float = 60, settle: int = 60) -> Iden
         drift=whole_model.drift / sigma,
         drift_known=alone.drift / sigma,
         rho=whole_model.rho,
+        rho_drift=whole_model.rho_drift,
         between=whole_model.between,
         samples=whole_model.samples,
         settle=settle,
@@ -154,11 +166,12 @@ def identifiability(plant: Plant, samples: float = 60, settle: int = 60) -> Iden
 
 
 class _Limits(NamedTuple):
-    """Smallest detectable bias and drift (N,), in sensor units, rho (N, P) and (N, N), and after how many samples."""
+    """Smallest detectable bias and drift (N,), in sensor units, rho (N, P) of either and (N, N), and after how many samples."""
 
     bias: Array
     drift: Array
     rho: Array
+    rho_drift: Array
     between: Array
     samples: int
 
@@ -169,17 +182,19 @@ def _limits(plant: Plant, added: int, samples: float, settle: int) -> _Limits:
     window = empty((), Grid(2), len(plant.states), count + added, float)  # of biases and jumps, and of ramps, with one onset
     window.eta[0, len(plant.states) - added :, count:] = -np.eye(added)
     last, never = no_update((), len(plant.states), count), np.array(False)
-    common, before = np.zeros((count + added, count + added)), np.full(count, np.inf)
+    common, crossed = np.zeros((count + added, count + added)), np.zeros((count, added))
+    before = np.full(count, np.inf)
     for k, update in enumerate(islice(_healthy_updates(plant), settle, settle + LAST), start=1):
         tangent, output_jacobian, found, K = update
         now = Shifted(window, np.arange(2), window.a, window.b, window.age + 1)
         step = window_step(last, tangent, output_jacobian, found, float)
         weighed = weigh(now, step, Effect(np.array([1.0, k])))
-        M = weighed.M[0]
+        M, of_ramps = weighed.M[0], weighed.M[1, :, :count]
         common += M.T @ found.inverse @ M
+        crossed += of_ramps.T @ found.inverse @ M[:, count:]
         window, last = updated(weighed, never), last_update(step, K, never)
         if k == samples or (samples == np.inf and k >= FIRST and (k & (k - 1) == 0 or k == LAST)):
-            limits = _of(common, window.b[1, :count], k)
+            limits = _of(common, window.b[1, :count], crossed, k)
             if k in (samples, LAST) or np.all(limits.bias >= (1 - SETTLED) * before):
                 return limits
             before = limits.bias
@@ -215,10 +230,13 @@ def _healthy_updates(plant: Plant) -> Iterator[_Update]:
         yield _Update(prior.tangent, plant.output_jacobian_at(t, prior.core.x, u), found, gain(joint, found.inverse))
 
 
-def _of(common: Array, of_ramps: Array, samples: int) -> _Limits:
-    """The limits of sum M' S^-1 M (N + P, N + P) for biases and jumps, and b (N,) for ramps of 1 a sample."""
+def _of(common: Array, of_ramps: Array, crossed: Array, samples: int) -> _Limits:
+    """The limits of sum M' S^-1 M (N + P, N + P) for biases and jumps, b (N,) for ramps of 1 a sample, and what ramps and jumps
+    have in common (N, P).
+    """
     count, b = of_ramps.size, np.diagonal(common)
     with np.errstate(divide="ignore", invalid="ignore"):
         bias, slope = (np.where(v > 0, NEEDED / np.sqrt(v), np.inf) for v in (b[:count], of_ramps))
         rho = np.clip(np.nan_to_num(common[:count] / np.sqrt(np.outer(b[:count], b))), -1.0, 1.0)
-    return _Limits(bias, samples * slope, rho[:, count:], rho[:, :count], samples)
+        of_drift = np.clip(np.nan_to_num(crossed / np.sqrt(np.outer(of_ramps, b[count:]))), -1.0, 1.0)
+    return _Limits(bias, samples * slope, rho[:, count:], of_drift, rho[:, :count], samples)
