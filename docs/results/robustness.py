@@ -39,7 +39,8 @@ ABOUT = """# When the model is wrong
 is shipped, makes of noise of other kinds, starts away from rest, model errors, and one or two causes at a time, live from the
 first row: whether it isolates healthy sensors, whether its verdict is right, undecided or wrong, and how far its confidence
 can be believed. Three of the plants are drawn at random, and no setting was chosen on them. Events of detectors other than
-`robust-glr` were counted while an event of one or two far readings still had its full confidence, and a late sensor was a fault."""
+`robust-glr` were counted while an event of one or two far readings still had its full confidence, and a late sensor was a
+fault."""
 
 IMPOSSIBLE = """## What no detector can tell
 

@@ -18,6 +18,7 @@ from fusion_sfdia.inspection.feedthrough import feedthrough, of_feedthrough
 from fusion_sfdia.inspection.findings import MISTAKE, REMARK, Finding, mistakes, not_analytic
 from fusion_sfdia.inspection.healthy import OnHealthy, of_healthy, on_healthy
 from fusion_sfdia.inspection.observability import Observability, observability, of_readings
+from fusion_sfdia.inspection.promises import GROWTH, Promise, promised
 from fusion_sfdia.inspection.steady import of_start
 from fusion_sfdia.inspection.stepping import Stepping, of_step, stepping
 from fusion_sfdia.inspection.structure import Structural, of_structure, structural
@@ -43,6 +44,7 @@ class Inspection:
     step: Stepping | None = None
     readings: Observability | None = None
     theory: Identifiability | None = None
+    promise: Promise | None = None
     detectors: tuple[Tried, ...] = ()
     structure: Structural | None = None
     healthy: OnHealthy | None = None
@@ -112,9 +114,10 @@ def inspect_plant(
     remarks += of_cost(found, cost(found))
     readings = _attempt(partial(observability, found), "observability", remarks)
     remarks += [] if readings is None else of_readings(found, readings)
-    theory = None
+    theory, promise = None, None
     if len(found.sensors) <= MIDDLE:
-        theory = _attempt(partial(identifiability, found), "theory", remarks)
+        theory = _attempt(partial(identifiability, found, GROWTH), "theory", remarks)
+        promise = None if theory is None else _attempt(partial(promised, found, theory), "promises", remarks)
         remarks += [] if theory is None else of_theory(theory)
     pattern = structural(found)
     remarks += of_structure(pattern)
@@ -129,7 +132,7 @@ def inspect_plant(
     remarks += [] if of_log is None else of_healthy(found, of_log)
     remarks += [] if log is None else of_feedthrough(found, feedthrough(found, log))
     findings = sorted(remarks, key=lambda f: f.kind != MISTAKE)
-    return Inspection(found, tuple(findings), _derivatives(found), step, readings, theory, runs, pattern, of_log)
+    return Inspection(found, tuple(findings), _derivatives(found), step, readings, theory, promise, runs, pattern, of_log)
 
 
 def _unstable(plant: Plant) -> Iterator[Finding]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fusion_sfdia.inspection.detectability import CASES, Tried
+from fusion_sfdia.inspection.promises import BIAS_WITHIN, DRIFT_WITHIN, GROWTH
 
 if TYPE_CHECKING:
     from fusion_sfdia.inspection.inspection import Inspection
@@ -75,6 +76,12 @@ def _faults(found: Inspection) -> list[str]:
     lines = []
     if theory is not None:
         lines.append(f"  theory: smallest size, in sigma of the sensor, that {theory.samples} readings show and tell apart")
+    if found.promise is not None:
+        lines.append(
+            "  promised: size in sigma from which robust-glr isolates the sensor alone in 9 of 10 runs, a bias within "
+            f"{BIAS_WITHIN}"
+        )
+        lines.append(f"  readings, a drift over {GROWTH} readings within {DRIFT_WITHIN}")
     if tried:
         lines.append(
             "  detectors: smallest simulated size in sigma / samples until its sensor alone was isolated; - for not found,"
@@ -86,13 +93,14 @@ def _faults(found: Inspection) -> list[str]:
         lines.append(f"  simulated for {len(names)} of {len(plant.sensors)} sensors; name others to have them tried")
     for kind in dict.fromkeys(kind for kind, _ in CASES):
         of_theory = {} if theory is None else _theory(found, kind)
-        columns = (["theory"] if of_theory else []) + [t.detector for t in tried]
+        of_promise = _promise(found, kind)
+        columns = (["theory"] if of_theory else []) + (["promised"] if of_promise else []) + [t.detector for t in tried]
         if not columns:
             continue
         rows = [[kind, "sigma", *columns]]
         for name in names:
             i = plant.sensor_index(name)
-            own = [of_theory[name]] if of_theory else []
+            own = [of[name] for of in (of_theory, of_promise) if of]
             rows.append(
                 [name, f"{plant.sensor_sigma[i]:.3g} {plant.sensors[i].unit}", *own, *(_cell(t, name, kind) for t in tried)]
             )
@@ -117,6 +125,13 @@ def _theory(found: Inspection, kind: str) -> dict[str, str]:
         apart = theory.bias / np.sqrt(np.maximum(1 - rival**2, 0.0))
     size = apart if kind == "bias" else theory.drift
     return {name: f"{s:.2g}" if np.isfinite(s) else "none" for name, s in zip(theory.sensors, size, strict=True)}
+
+
+def _promise(found: Inspection, kind: str) -> dict[str, str]:
+    if found.promise is None or kind == "freeze":
+        return {}
+    size = found.promise.bias if kind == "bias" else found.promise.drift
+    return {name: f"{s:.2g}" if np.isfinite(s) else "none" for name, s in zip(found.plant.sensor_names, size, strict=True)}
 
 
 def _cell(of: Tried, sensor: str, kind: str) -> str:
@@ -146,6 +161,10 @@ def as_json(found: Inspection) -> dict[str, Any]:
                        "told_apart": _plain(theory.told_apart[i]), "rho": _plain(theory.overlap[i])}
                 for i, name in enumerate(theory.sensors)
             },
+        },
+        "promised": None if found.promise is None else {
+            name: {"bias": _plain(found.promise.bias[i]), "drift": _plain(found.promise.drift[i])}
+            for i, name in enumerate(found.plant.sensor_names)
         },
         "detectors": _plain(found.detectors),
         "healthy": _plain(found.healthy),
