@@ -39,6 +39,7 @@ def _inspect(chosen: argparse.Namespace) -> int:
 def _inspected(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.cli.tune import chosen_plant, tuned_entry
     from fusion_sfdia.core.files import all_or_none, atomic_write
+    from fusion_sfdia.core.plain_text import plain
     from fusion_sfdia.inspection.inspection import inspect_plant
     from fusion_sfdia.inspection.text import as_json, as_text
 
@@ -64,6 +65,6 @@ def _inspected(chosen: argparse.Namespace) -> int:
         with all_or_none(chosen.out) as new:
             for name, content in (("inspection.txt", text), ("inspection.json", data)):
                 with atomic_write(new / name) as file:
-                    file.write(f"{content}\n")
+                    file.write(plain(f"{content}\n"))
     print(data if chosen.json else text)
     return int(bool(found.mistakes))

@@ -73,7 +73,7 @@ def _diagnose(chosen: argparse.Namespace, out: Path) -> int:
             table = csv.writer(file, lineterminator="\n")
             table.writerows([v if not isinstance(v, str) else cell(plain(v)) for v in row] for row in (header, *rows))
         with atomic_write(new / "monitor.txt") as file:
-            file.write(f"{monitor}\n\n{found}\n")
+            file.write(plain(f"{monitor}\n\n{found}\n"))
     say(f"{monitor}\n\n{found}\n{', '.join((*OWN_FILES, *FILES))}: in {out}")
     if chosen.json:
         entries = [dict(zip(header, row, strict=True)) for row in rows]

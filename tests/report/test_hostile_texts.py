@@ -88,6 +88,22 @@ def test_the_figure_is_xml_without_a_script(written: Path) -> None:
     assert "--" not in re.sub(r"<!--|-->", "", " ".join(re.findall(r"<!--.*?-->", (written / "diagnosis.svg").read_text())))
 
 
+@pytest.mark.slow
+def test_no_character_that_acts_is_in_the_files_of_a_monitor(tmp_path: Path) -> None:
+    """So far monitor.txt had the titles as they are."""
+    rng, log = np.random.default_rng(3), tmp_path / "log.csv"
+    level = np.cumsum(rng.normal(size=200)) / 20
+    columns = (level, 2 * level + rng.normal(size=200) / 9, rng.normal(size=200))
+    rows = [f"{k},{','.join(f'{c[k]:.4f}' for c in columns)}" for k in range(200)]
+    log.write_text("\n".join([f"time,a{ESCAPE[:8]},b\x1b[31m,c", *rows, ""]), encoding="utf-8")
+    out = tmp_path / "out"
+    assert main(["monitor", "--healthy", str(log), "--data", str(log), "--out", str(out)]) == 0
+    assert "b\\u001b[31m" in (out / "monitor.txt").read_text(encoding="utf-8")
+    for path in out.iterdir():
+        if path.suffix != ".png":
+            assert not ACTING.search(path.read_text(encoding="utf-8")), path.name
+
+
 def test_a_log_with_such_names_is_read_to_the_bit(tmp_path: Path) -> None:
     plant = named(("=l1", "+5V", "-l2", "@q"))
     t, y, u = faulty()
