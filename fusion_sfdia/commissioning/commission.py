@@ -3,7 +3,8 @@
 A sensor that scatters clearly more than stated first gets the noise that it has. Then three stages, each on the result of the
 one before: declared parameters and errors of inputs (`parameters`), directions of
 mismatch of which nothing is declared (`disturbances`), process and sensor noise (`noise`). Each is learnt from one half of the
-log and judged by the likelihood of the other half, and the reverse; what is kept is then learnt from the whole log.
+log and judged by the likelihood of the other half, and the reverse; what is kept is then learnt from the whole log. Where the
+innovations of a sensor are still slow, that is the slow part of its noise (`slow_noise`).
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from fusion_sfdia.commissioning.refusals import (
     require_readings,
 )
 from fusion_sfdia.commissioning.score import Fit, coloured, fitted
+from fusion_sfdia.commissioning.slow_noise import with_slow_noise
 from fusion_sfdia.commissioning.start import Start, first_error, first_state, with_start
 from fusion_sfdia.core.arguments import probability
 from fusion_sfdia.core.augment import fixed
@@ -133,6 +135,8 @@ def commissioned(plant: Plant, *healthy: Any, false_alarm: float | None = 1e-3, 
         result = with_noise(result, noise)
     if (start := first_state(result, log)) is not None:
         result = with_start(result, start)
+    result = with_slow_noise(result, fitted(result, log).single[settled])
+    halfway = [with_slow_noise(p, f.single[half]) for p, f, half in zip(halfway, now, halves, strict=True)]
     return Commissioning(
         result, settle, before, _held_out(now, halves), kept, parameters, disturbances, noise, start,
         first_error(result, log), middle, (halfway[0], halfway[1]), (now[0], now[1]),

@@ -23,7 +23,7 @@ from fusion_sfdia.core.equation import complex_step_holds, complex_step_jacobian
 from fusion_sfdia.core.limits import within
 from fusion_sfdia.core.plant_checks import require_considered, require_kinds, require_shapes
 from fusion_sfdia.core.plant_groups import Numerics, OutputFunction, StepFunction, Structure, Truth
-from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.core.signals import Sensor, Signal, SlowNoise
 from fusion_sfdia.core.uncertainty import Uncertainty
 from fusion_sfdia.core.units import in_units
 
@@ -121,6 +121,16 @@ class Plant:
     def sensor_resolution(self) -> Array:
         """The step of the readings of each sensor (N,), 0 where none is stated."""
         return np.array([s.resolution for s in self.sensors])
+
+    @cached_property
+    def slow_noise(self) -> tuple[Array, Array]:
+        """The slow part of each sensor's noise: its share of the variance (N,), and its correlation after dt (N,).
+
+        Time constants above 1e6 dt count as 1e6 dt: no log is longer, and beyond it rounding counts.
+        """
+        slow = [s.noise or SlowNoise(0.0, self.dt) for s in self.sensors]
+        samples = np.array([min(s.time_constant / self.dt, 1e6) for s in slow])
+        return np.array([s.share for s in slow]), np.exp(-1 / samples)
 
     @cached_property
     def sensor_cov(self) -> Array:

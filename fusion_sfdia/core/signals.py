@@ -47,6 +47,24 @@ class Signal:
 
 
 @dataclass(frozen=True)
+class SlowNoise:
+    """The slow part of a sensor's noise: first-order noise, as of a wandering zero point.
+
+    share: of the variance, from 0 to below 1; what is left is white. time_constant: in s; its autocorrelation after t seconds
+    is exp(-t / time_constant). Raises ValueError for others.
+    """
+
+    share: float
+    time_constant: float
+
+    def __post_init__(self) -> None:
+        if not 0 <= number("slow noise: share", self.share) < 1:
+            raise ValueError(f"slow noise: share is {self.share}; it must be at least 0 and below 1, a share of the variance")
+        if not 0 < number("slow noise: time_constant", self.time_constant) < np.inf:
+            raise ValueError(f"slow noise: time_constant is {self.time_constant}; it must be positive and finite, in seconds")
+
+
+@dataclass(frozen=True)
 class Sensor:
     """An instrument that reads one variable, with noise stated as a standard deviation, a bound, or both, in its unit.
 
@@ -54,7 +72,9 @@ class Sensor:
     owner: the subsystem or area that reads the sensor. quantity: the kind of variable it measures ("pressure"), by which
     results are grouped. scale: its reading over the variable in SI; `Plant.in_units` sets it. period: of cyclic readings, in
     the sensor's unit; None for that of the variable that it measures, if that has one. resolution: the step of the readings,
-    whose rounding adds a uniform error to the noise; equal readings of a coarse sensor are then not taken as frozen.
+    whose rounding adds a uniform error to the noise; equal readings of a coarse sensor are then not taken as frozen. noise:
+    the part of the noise that is slow, None for white noise; sigma is of both parts together. `robust-glr` then needs as much
+    more evidence against the sensor, and simulated readings have it; filters take all noise as white.
     Raises ValueError for noise or a period that is not positive and finite, noise that is missing, a negative resolution, and a
     scale of 0 or one that is not finite.
     """
@@ -69,8 +89,14 @@ class Sensor:
     scale: float = 1.0
     period: float | None = None
     resolution: float = 0.0
+    noise: SlowNoise | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.noise, SlowNoise | None):
+            raise ValueError(
+                f"sensor {self.name!r}: noise is {self.noise!r}; expected SlowNoise(share=.., time_constant=..), and the "
+                "standard deviation of all its noise as sigma"
+            )
         for what, value in (("sigma", self.sigma), ("bound", self.bound)):
             if value is not None and not 0 < number(f"sensor {self.name!r}: {what}", value) < np.inf:
                 raise ValueError(f"sensor {self.name!r}: {what} is {value}; it must be positive and finite, or left out")

@@ -252,7 +252,7 @@ def concluded(
         except RAISED as error:
             raise failed(detector.plant, "in the second look", error) from error
     starts = np.flatnonzero(np.isfinite(track.begins[track.own]))
-    health, after = health_of(detector.plant.sensor_names, look, starts, alarm_rate_of(detector), ()), look.residuals
+    health, after = health_of(detector.plant, look, starts, alarm_rate_of(detector), ()), look.residuals
     with np.errstate(invalid="ignore", divide="ignore"):
         frozen = beyond_resolution(frozen, after.error / after.sd, detector.plant.sensor_resolution)
     del look, track, out  # of a long log as much memory as its readings, twice

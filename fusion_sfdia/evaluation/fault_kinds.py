@@ -19,6 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.kalman_banks.reading_noise import stated_inflation
+
 Array = NDArray[Any]
 
 KINDS = ("bias", "drift", "freeze", "noise", "spikes", "dropout")
@@ -48,20 +51,33 @@ class Named(NamedTuple):
     alternatives: tuple[str, ...] = ()
 
 
-def resized(named: Named, error: Array, sd: Array, sigma: float) -> Named:
+class NoiseOf(NamedTuple):
+    """The noise of one sensor: its standard deviation, and its slow part, see `Plant.slow_noise`, of that sensor alone (1,)."""
+
+    sigma: float
+    slow: tuple[Array, Array] = (np.zeros(1), np.zeros(1))
+
+
+def noise_of(plant: Plant, i: int) -> NoiseOf:
+    """The noise of the i-th sensor of a plant."""
+    share, kept = plant.slow_noise
+    return NoiseOf(float(plant.sensor_sigma[i]), (share[i : i + 1], kept[i : i + 1]))
+
+
+def resized(named: Named, error: Array, sd: Array, noise: NoiseOf) -> Named:
     """A fault named over several events with the size of one of them: of spikes their height there, else as it was."""
     with np.errstate(invalid="ignore"):
         loud = np.abs(error) > QUIET * sd
     if named.kind != "spikes" or not np.any(loud):
         return named
-    size, low, high = _size("spikes", error[loud], sd[loud], sigma, [], 0.0)
+    size, low, high = _size("spikes", error[loud], sd[loud], noise, [], 0.0)
     return named._replace(size=size, low=low, high=high)
 
 
-def name(error: Array, sd: Array, sigma: float, y: Array, *, still: bool, over: bool) -> Named:
+def name(error: Array, sd: Array, noise: NoiseOf, y: Array, *, still: bool, over: bool) -> Named:
     """Name the fault of one sensor over an event of K samples.
 
-    error, sd (K,): residual and its standard deviation without a fault, NaN where unknown; sigma: of the sensor's noise;
+    error, sd (K,): residual and its standard deviation without a fault, NaN where unknown; noise: of the sensor;
     y (K,): the readings, NaN where missing. still: whether its readings repeat their value when it is healthy. over: whether
     the fault has ended.
     """
@@ -81,13 +97,13 @@ def name(error: Array, sd: Array, sigma: float, y: Array, *, still: bool, over: 
         return Named("freeze", *_interval(float(e[worst]), float(s[worst])))
     if z.size <= FEW:
         kind = "spikes" if over else "bias"
-        return Named(kind, *_size(kind, e, s, sigma, [], 0.0), () if over else ("spikes", "drift", "noise"))
+        return Named(kind, *_size(kind, e, s, noise, [], 0.0), () if over else ("spikes", "drift", "noise"))
     scores, ramps, rho = _scores(z, x / max(x[-1], 1.0))
     kind = max(scores, key=lambda k: scores[k])
     weight = {k: float(np.exp(v - scores[kind])) for k, v in scores.items()}
     total = sum(weight.values())
     others = tuple(k for k in sorted(weight, key=lambda k: -weight[k]) if k != kind and weight[k] / total > POSSIBLE)
-    return Named(kind, *_size(kind, e, s, sigma, ramps, rho), others)
+    return Named(kind, *_size(kind, e, s, noise, ramps, rho), others)
 
 
 Ramps = list[tuple[float, Array]]  # of possible drifts: the probability and the regressors (n, 2)
@@ -151,20 +167,20 @@ def _spikes(z: Array) -> float:
     return best
 
 
-def _size(kind: str, e: Array, s: Array, sigma: float, ramps: Ramps, rho: float) -> tuple[float, float, float]:
+def _size(kind: str, e: Array, s: Array, noise: NoiseOf, ramps: Ramps, rho: float) -> tuple[float, float, float]:
     """Size of a fault with its 95 % interval, from the residuals e (n,) and their standard deviations s (n,).
 
-    The error of a mean has two parts: the noise of the readings, which is independent, sigma^2 / n, and the error of the
-    estimate, s^2 - sigma^2, which may be the same throughout and is not reduced. Where the residuals vary more, their own
+    The error of a mean has two parts: the noise of the readings, sigma^2 c / n, with c = 1 where it is white, and the error of
+    the estimate, s^2 - sigma^2, which may be the same throughout and is not reduced. Where the residuals vary more, their own
     variance over the number of independent ones counts, n (1 - rho) / (1 + rho). Of a drift the mean over the times in which
     it may have risen, weighted by their probability, with the variance between them.
     """
-    n = e.size
+    n, sigma = e.size, noise.sigma
     common = float(np.mean(np.maximum(s**2 - sigma**2, 0.0)))
-    inflated = (1 + rho) / (1 - rho)
+    inflated, of_noise = (1 + rho) / (1 - rho), sigma**2 * float(stated_inflation(n, noise.slow)[0])
     if kind == "bias":
         spread = float(np.var(e, ddof=1)) / n * inflated if n > 1 else 0.0
-        return _interval(float(np.mean(e)), np.sqrt(max(sigma**2 / n + common, spread)))
+        return _interval(float(np.mean(e)), np.sqrt(max(of_noise / n + common, spread)))
     if kind == "drift":
         value, variance = [], []
         for _, ramp in ramps:
@@ -172,7 +188,7 @@ def _size(kind: str, e: Array, s: Array, sigma: float, ramps: Ramps, rho: float)
             leverage = float(end @ np.linalg.pinv(ramp.T @ ramp) @ end)
             spread = float(np.sum((e - fitted) ** 2)) / max(n - 2, 1) * leverage * inflated
             value.append(fitted[-1])
-            variance.append(max(sigma**2 * leverage + common, spread))
+            variance.append(max(of_noise * leverage + common, spread))
         share, ends = np.array([p for p, _ in ramps]), np.array(value)
         size = float(share @ ends)
         return _interval(size, float(np.sqrt(share @ (np.array(variance) + (ends - size) ** 2))))

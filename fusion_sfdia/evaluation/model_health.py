@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.hindsight_steps import Hindsight
+from fusion_sfdia.kalman_banks.reading_noise import stated_inflation
 
 Array = NDArray[Any]
 
@@ -120,7 +122,7 @@ def _rate(false_alarm: float, sensors: int) -> float:
     return min(false_alarm / sensors, 0.5 / MORE_ALARMS)
 
 
-def health_of(names: tuple[str, ...], after: Hindsight, starts: Array, false_alarm: float, remarks: tuple[str, ...]) -> Health:
+def health_of(plant: Plant, after: Hindsight, starts: Array, false_alarm: float, remarks: tuple[str, ...]) -> Health:
     """Test the innovations after each start: their mean square (NIS), of each sensor how much sums of them vary, and the mean
     of its residuals, the readings less what the other sensors give, in `PARTS` parts of the log.
 
@@ -128,9 +130,12 @@ def health_of(names: tuple[str, ...], after: Hindsight, starts: Array, false_ala
     standardised innovations, the sum over many samples varies v (1 + rho) / (1 - rho) times as much as that of white ones, and
     a test that accumulates has as many more false alarms as with such a variance. Its logarithm has the variance
     2 / n + 4 / (n (1 - rho^2)); a sensor is reported where it is above the limit by `SURE` standard errors, and by more where
-    there are many sensors. The mean of n residuals has the variance v (1 + rho) / ((1 - rho) n), of theirs. NIS needs so many
+    there are many sensors. The mean of n residuals has the variance v (1 + rho) / ((1 - rho) n), of theirs. Slow noise that a
+    sensor states counts in both. NIS needs so many
     readings M that SURE sqrt(2 / M) is below limit - 1.
     """
+    names, slow = plant.sensor_names, plant.slow_noise
+    usual = stated_inflation(np.inf, slow)
     settled = np.ones(len(after.nis), bool)
     for k in starts:
         settled[k : k + WARM_UP] = False
@@ -149,9 +154,12 @@ def health_of(names: tuple[str, ...], after: Hindsight, starts: Array, false_ala
             untested.append(name)
             continue
         inflation, error = v * (1 + rho) / (1 - rho), np.sqrt(2 / n + 4 / (n * (1 - rho**2)))
-        if np.log(max(inflation, 1e-300)) - sure * error > np.log(limit):
+        if np.log(max(inflation, 1e-300)) - sure * error > np.log(limit * usual[i]):
             excess[name] = float(inflation)
         means, errors = _means((after.error / after.sd)[used, i])
+        if slow[0][i]:
+            part = n / PARTS
+            errors = np.maximum(errors, np.sqrt(stated_inflation(part, slow)[i] / part))
         surely = np.abs(means) - sure * errors
         if surely[k := int(np.argmax(surely))] > off:
             shifts[name] = float(means[k])

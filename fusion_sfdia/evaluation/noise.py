@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 from scipy.special import ndtr, ndtri
 
 from fusion_sfdia.core.covariance import diagonal
@@ -39,9 +40,16 @@ def _quantile(uniform: Array, sigma: Array, bound: Array) -> Array:
     return np.asarray(np.where(gaussian, np.clip(truncated, -bound, bound), even))
 
 
-def sensor_noise(sensors: tuple[Sensor, ...], seeds: tuple[int, ...], steps: int) -> Array:
-    """Noise (K, B, N) of the readings."""
+def sensor_noise(sensors: tuple[Sensor, ...], seeds: tuple[int, ...], steps: int, dt: float) -> Array:
+    """Noise (K, B, N) of readings every dt seconds."""
     uniform = np.stack([_unit(stream(s, "measurement noise"), (steps, len(sensors))) for s in seeds], axis=1)
+    for i, slow in enumerate(s.noise for s in sensors):
+        if slow is not None:
+            q = np.exp(-dt / slow.time_constant)
+            own = ndtri(np.stack([_unit(stream(s, f"slow noise of {sensors[i].name}"), (steps,)) for s in seeds], axis=1))
+            own[1:] *= np.sqrt(1 - q**2)
+            wandering = lfilter([1.0], [1.0, -q], own, axis=0)
+            uniform[..., i] = ndtr(np.sqrt(1 - slow.share) * ndtri(uniform[..., i]) + np.sqrt(slow.share) * wandering)
     sigma = np.array([np.inf if s.sigma is None else s.sigma for s in sensors])
     return _quantile(uniform, sigma, np.array([np.inf if s.bound is None else s.bound for s in sensors]))
 

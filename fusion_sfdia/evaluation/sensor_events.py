@@ -15,7 +15,7 @@ from scipy.special import ndtri
 from fusion_sfdia.core.detector import Decision, Detector, chosen
 from fusion_sfdia.evaluation.absent import dropouts, due
 from fusion_sfdia.evaluation.events import EVEN, Event
-from fusion_sfdia.evaluation.fault_kinds import FEW, POSSIBLE, QUIET, Named, name, resized
+from fusion_sfdia.evaluation.fault_kinds import FEW, POSSIBLE, QUIET, Named, name, noise_of, resized
 from fusion_sfdia.evaluation.hindsight_steps import Residuals
 
 Array = NDArray[Any]
@@ -62,21 +62,19 @@ def explained(
         expected = due(y[:, i])
         pairs = np.diff(y[~held & np.isfinite(y[:, i]), i])
         still = pairs.size > 0 and bool(np.mean(pairs == 0) > STILL)
-        mine = []
+        mine, noise = [], noise_of(detector.plant, i)
         for first, last in _groups(spans):
             a, b = spans[first][0], spans[last][1]
             part = slice(a, b + 1)
             over = b < len(t) - 1
-            named = name(
-                after.error[part, i], after.sd[part, i], sensor.noise_sigma, y[part, i][expected[part]], still=still, over=over
-            )
+            named = name(after.error[part, i], after.sd[part, i], noise, y[part, i][expected[part]], still=still, over=over)
             for e, (k, end) in zip(own[first : last + 1], spans[first : last + 1], strict=True):
                 error, sd = after.error[k : end + 1, i], after.sd[k : end + 1, i]
-                of_it = resized(named, error, sd, sensor.noise_sigma)
+                of_it = resized(named, error, sd, noise)
                 confidence, rivals = rivals_at(detector, decisions, i, k)
                 if is_in_doubt(decisions, i, end) or (end < len(t) - 1 and may_be_outliers(error, sd)):
                     confidence = min(confidence, EVEN)
-                mine.append(replace(_with(e, of_it, sensor.noise_sigma), confidence=confidence, alternatives=rivals))
+                mine.append(replace(_with(e, of_it, noise.sigma), confidence=confidence, alternatives=rivals))
         for kind, stretches in (("freeze", frozen[i]), ("dropout", silent[i])):
             for a, b in stretches:
                 mine = with_stretch(mine, kind, t, a, b, sensor.name, sensor.unit)

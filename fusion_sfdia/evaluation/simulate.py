@@ -67,17 +67,18 @@ def simulate(
 
     times: number of steps of plant.dt, or the times (K,) of the readings, increasing from t0. truth: the source of the
     readings: "finer" for the plant's high-fidelity model where it has one, so that a detector is not tested on its own model
-    (the inverse crime); "model" for `plant` itself, the setting of most papers; or a plant with the same sensors and inputs,
-    whose dt divides plant.dt and whose sensors' noise is added. to_states: maps the states (K, B, n') of such a plant to
-    those of `plant`; without it, and with states of other names, x is None. process_noise: whether the truth is disturbed
-    by its process noise. start: "nominal" for the truth's x0, "sampled" from its initial covariance, or states (n',) or
-    (B, n'). inputs: u as a function of the time from which it acts, or as (K, m); None for the truth's operation, in closed
-    loop where it has feedback, whose controllers get the simulated readings. It is held from one reading to
-    the next; until the first one the operation acts alone.
+    (the inverse crime), with the noise of the plant's sensors; "model" for `plant` itself, the setting of most papers; or a
+    plant with the same sensors and inputs, whose dt divides plant.dt and whose sensors' noise is added. to_states: maps the
+    states (K, B, n') of such a plant to those of `plant`; without it, and with states of other names, x is None.
+    process_noise: whether the truth is disturbed by its process noise. start: "nominal" for the truth's x0, "sampled" from its
+    initial covariance, or states (n',) or (B, n'). inputs: u as a function of the time from which it acts, or as (K, m); None
+    for the truth's operation, in closed loop where it has feedback, whose controllers get the simulated readings. It is held
+    from one reading to the next; until the first one the operation acts alone.
 
     Noise: Gaussian where a sigma is stated, uniform within the bound where only a bound is, Gaussian truncated to the
-    bound where both are; the process noise likewise. Raises ValueError for arguments that do not fit, ArithmeticError
-    where a run leaves the limits of the truth's model.
+    bound where both are; the process noise likewise. That of a sensor that states `SlowNoise` has that course where readings
+    are plant.dt apart. Raises ValueError for arguments that do not fit, ArithmeticError where a run leaves the limits of the
+    truth's model.
     """
     if isinstance(truth, str):
         if truth not in ("finer", "model"):
@@ -102,7 +103,7 @@ def simulate(
     draws = ProcessNoise(source, seeds) if process_noise else None
     xs = np.empty((steps, len(seeds), n))
     signal = np.empty((steps, len(seeds), count))
-    noise = sensor_noise(source.sensors, seeds, steps)
+    noise = sensor_noise(source.sensors if source is truth else plant.sensors, seeds, steps, plant.dt)
     before = t - dt
     if closed:
         u = np.repeat(u[:, None], len(seeds), axis=1)

@@ -11,6 +11,7 @@ from fusion_sfdia.inspection.detectability import CASES, Tried
 from fusion_sfdia.inspection.promises import BIAS_WITHIN, DRIFT_WITHIN, GROWTH
 
 if TYPE_CHECKING:
+    from fusion_sfdia.core.plant import Plant
     from fusion_sfdia.inspection.inspection import Inspection
 
 WIDTH = 110
@@ -101,9 +102,7 @@ def _faults(found: Inspection) -> list[str]:
         for name in names:
             i = plant.sensor_index(name)
             own = [of[name] for of in (of_theory, of_promise) if of]
-            rows.append(
-                [name, f"{plant.sensor_sigma[i]:.3g} {plant.sensors[i].unit}", *own, *(_cell(t, name, kind) for t in tried)]
-            )
+            rows.append([name, _noise(plant, i), *own, *(_cell(t, name, kind) for t in tried)])
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines += ["", *("  " + "  ".join(f"{c:<{w}}" for c, w in zip(row, widths, strict=True)).rstrip() for row in rows)]
     left = [f"  {t.detector}: {t.left_out}" for t in found.detectors if t.left_out]
@@ -112,6 +111,13 @@ def _faults(found: Inspection) -> list[str]:
         + ([""] if left else [])
         + [part for text in left for part in wrap(text, WIDTH, initial_indent="  ", subsequent_indent="    ")]
     )
+
+
+def _noise(plant: Plant, i: int) -> str:
+    """The noise that a sensor states, in words."""
+    slow = plant.sensors[i].noise
+    part = f", {100 * slow.share:.0f} % slow ({slow.time_constant:.3g} s)" if slow is not None and slow.share else ""
+    return f"{plant.sensor_sigma[i]:.3g} {plant.sensors[i].unit}{part}"
 
 
 def _theory(found: Inspection, kind: str) -> dict[str, str]:

@@ -11,7 +11,8 @@ process is less by the share that both have in common,
 The smallest detectable size is that with a mean of 5: at a threshold h it is detected with probability Phi(5 - h), .96 at the
 3.29 of a false-alarm probability of 1e-3, and one half at 5. A detector that searches many sensors and onsets has a higher
 threshold, and one with a window sees no more samples than that. With considered parameters the innovations are correlated in
-time, which the variance neglects.
+time, which the variance neglects. Of a sensor that states slow noise (`SlowNoise`) the variance of a is c b, with c of
+`reading_noise` for a sum over all samples since the onset.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from fusion_sfdia.filters.estimators import Extended, GaussianState, step_stream
 from fusion_sfdia.filters.gaussian import gain
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, posterior, statistics
 from fusion_sfdia.kalman_banks.likelihood_window import Effect, Grid, Shifted, empty, updated, weigh
+from fusion_sfdia.kalman_banks.reading_noise import stated_inflation
 from fusion_sfdia.kalman_banks.window_step import last_update, no_update, window_step
 
 Array = NDArray[Any]
@@ -142,21 +144,22 @@ def identifiability(plant: Plant, samples: float = 60, settle: int = 60) -> Iden
     whole("settle", settle, least=0)
     if samples != np.inf and whole("samples", samples, least=1) > LAST:
         raise ValueError(f"samples is {samples}; expected at most {LAST}, or inf")
-    sigma = plant.sensor_sigma
     free = augment(plant)
     added = len(free.states) - len(plant.states)
     whole_model = _limits(free, added, samples, settle)
     alone = _limits(replace(plant, uncertainty=Uncertainty()), 0, whole_model.samples, settle) if added else whole_model
+    sigma = plant.sensor_sigma
+    units = sigma / np.sqrt(stated_inflation(whole_model.samples, plant.slow_noise))
     return Identifiability(
         plant=plant.name,
         sensors=plant.sensor_names,
         units=tuple(s.unit for s in plant.sensors),
         sigma=sigma,
         hypotheses=tuple(s.name for s in free.states[len(plant.states) :]),
-        bias=whole_model.bias / sigma,
-        bias_known=alone.bias / sigma,
-        drift=whole_model.drift / sigma,
-        drift_known=alone.drift / sigma,
+        bias=whole_model.bias / units,
+        bias_known=alone.bias / units,
+        drift=whole_model.drift / units,
+        drift_known=alone.drift / units,
         rho=whole_model.rho,
         rho_drift=whole_model.rho_drift,
         between=whole_model.between,

@@ -17,8 +17,9 @@ A sum over n samples of noise with the correlation q from each sample to the nex
     c(n, q) = 1 + 2 sum_{k=1}^{n-1} (1 - k/n) q^k = (1 + q) / (1 - q) - 2 q (1 - q^n) / (n (1 - q)^2)
 
 times as much as one of white noise, and where levels vary by M from sensor to sensor the square of the sum grows by n^2 M, its
-variance over that of white noise by n M. The statistics of windows are divided by it, those of the process without M: all
-sensors together show it.
+variance over that of white noise by n M. Where a sensor states slow noise (`SlowNoise`), of the share s and the correlation q
+from sample to sample, sums vary at least 1 + s (c(n, q) - 1) times as much. The statistics of windows are divided by it, those
+of the process without M: all sensors together show it.
 """
 
 from __future__ import annotations
@@ -113,6 +114,25 @@ def inflation(n: float, q: float) -> float:
     return found
 
 
+def stated_inflation(n: float, slow: tuple[Array, Array]) -> Array:
+    """By how much sums over n samples vary at least (N,), by the slow noise that sensors state (`Plant.slow_noise`)."""
+    return _stated(float(n), *slow)
+
+
+@compiled
+def _stated(n: float, share: Array, kept: Array) -> Array:
+    found = np.empty(share.size)
+    for i in range(share.size):
+        found[i] = at_least(n, share[i], kept[i])
+    return found
+
+
+@part
+def at_least(n: float, share: float, q: float) -> float:
+    """The inflation of sums over n samples of noise with a slow part of that share and correlation."""
+    return 1 + share * (inflation(n, q) - 1)
+
+
 @part
 def correlation(mean: float) -> float:
     """q, from the mean of the cut differences."""
@@ -179,33 +199,39 @@ def is_larger(now: ReadingNoise) -> Array:
     return np.asarray(now.size > LARGER)
 
 
-def inflation_of(now: ReadingNoise, age: Array) -> Inflation:
+def inflation_of(now: ReadingNoise, age: Array, slow: tuple[Array, Array]) -> Inflation:
     """By how much the sums over windows of that age (..., L) vary more than those of white noise.
 
     By the correlation of all sensors together, and the median of what their variances are over the stated ones; of each sensor
-    by its own, where that is more, and by what the model is off.
+    by its own, where that is more, and by what the model is off; at least by the slow noise that sensors state, see
+    `Plant.slow_noise`, together by its mean.
     """
     batch = age.shape[:-1]
-    given = [bank_kernels.runs(v, batch) for v in (age, now.own, now.every, now.spread, now.off)]
+    given = [*(bank_kernels.runs(v, batch) for v in (age, now.own, now.every, now.spread, now.off)), *slow]
     common, own = _inflation(*given)
     return Inflation(common.reshape(age.shape), own.reshape(*age.shape, own.shape[-1]))
 
 
 @compiled
-def _inflation(age: Array, own: Array, every: Array, spread: Array, off: Array) -> tuple[Array, Array]:
+def _inflation(
+    age: Array, own: Array, every: Array, spread: Array, off: Array, share: Array, kept: Array
+) -> tuple[Array, Array]:
     """The same of B runs: common (B, L), own (B, L, N)."""
     (B, L), N = age.shape, own.shape[1]
-    common, each = np.empty((B, L)), np.empty((B, L, N))
+    common, each, stated = np.empty((B, L)), np.empty((B, L, N)), np.empty(N)
     for r in range(B):
         together = common_correlation(own[r], every[r])
         usual = np.median(spread[r])
         for l in range(L):  # noqa: E741
             n = max(age[r, l], 1.0)
-            shared = inflation(n, together)
+            for i in range(N):
+                stated[i] = at_least(n, share[i], kept[i])
+            shared = max(inflation(n, together), np.mean(stated))
             common[r, l] = shared * usual
             for i in range(N):
                 q = correlation(own[r, i])
-                each[r, l, i] = (inflation(n, q) if q > max(together, CHANCE) else shared) * spread[r, i] + n * off[r]
+                alone = inflation(n, q) if q > max(together, CHANCE) else shared
+                each[r, l, i] = max(alone, stated[i]) * spread[r, i] + n * off[r]
     return common, each
 
 

@@ -163,6 +163,12 @@ class RobustBank(ExcludingBank):
         return Grid.spanning(self.window), Grid.spanning(self.memory, SLOW_STEP)
 
     @cached_property
+    def _change_sigma(self) -> Array:
+        """Standard deviation of the noise in a difference of successive readings (N,), over the square root of 2."""
+        share, kept = self.plant.slow_noise
+        return np.asarray(self.plant.sensor_sigma * np.sqrt(1 - share * kept))
+
+    @cached_property
     def _limits(self) -> Limits:
         """Quantiles of normal variables, shared by sensors or process hypotheses and by the onsets."""
         scale, onsets = self.threshold_scale, sum(grid.slots for grid in self._grids)
@@ -211,7 +217,7 @@ class RobustBank(ExcludingBank):
         assert prior.tangent is not None and joint.H is not None
         step = window_step(last, prior.tangent, joint.H, counted.found, windows[0].eta.dtype, of.leading)
         weighed = self._weigh(windows, prior.tangent, step, now.k)
-        inflations = tuple(inflation_of(noise, w.age) for w in weighed)
+        inflations = tuple(inflation_of(noise, w.age, self.plant.slow_noise) for w in weighed)
         tested, evidence = self._compete(weighed, inflations, counted.found, handicap)
         of_whole = evidence
         if counted.less.any():  # of a fault of the process, it may be
@@ -257,7 +263,7 @@ class RobustBank(ExcludingBank):
         recent, slow = (updated(w, restart) for w in (tested.recent, tested.slow))
 
         share = QUIET_SHARE * self.false_alarm / count
-        pairs = paired(pairs, y, self.plant.sensor_sigma, self.plant.sensor_resolution, share)
+        pairs = paired(pairs, y, self._change_sigma, self.plant.sensor_resolution, share)
         quiet = too_quiet(pairs, share)
         quiet = quiet & ~unexplained[..., None] & (not begins)
         if quiet.any():
@@ -314,7 +320,7 @@ class RobustBank(ExcludingBank):
             assert prior.tangent is not None
             look = with_sample(look, prior.tangent, joint, found)
             size = of.recent_sizes[: y.shape[-1] + of.added]
-            inflation = inflation_of(now.noise, look.samples[..., None]).common[..., 0]
+            inflation = inflation_of(now.noise, look.samples[..., None], self.plant.slow_noise).common[..., 0]
             out = now.exclusion.out & ~quiet
             judged, right = answered(look, Question(out, now.exclusion.size, size, inflation, self.sensor_margin))
             look, right = of_runs(anew, look, judged), right & ~anew  # what stands since now is not of this look

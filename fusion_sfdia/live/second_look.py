@@ -203,7 +203,7 @@ class SecondLook:
         events = [e for e in found if e.kind != "sensor" or self.read[names.index(e.hypothesis)]]
         starts = np.flatnonzero(np.isfinite([s.begins for s in rows]))
         remarks = against_the_model(events, decisions, t, clock)
-        return events, health_of(names, after, starts, alarm_rate_of(self.detector), remarks)
+        return events, health_of(self.detector.plant, after, starts, alarm_rate_of(self.detector), remarks)
 
     def _news(self, events: Sequence[Event], next_id: int) -> list[tuple[int, Event]]:
         """Of the events of sensors those that are not as reported before."""

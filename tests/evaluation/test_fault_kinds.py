@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from fusion_sfdia.evaluation.fault_kinds import Named, name, resized
+from fusion_sfdia.evaluation.fault_kinds import Named, NoiseOf, name, resized
 
 RNG = np.random.default_rng(0)
 RISING = np.minimum(np.arange(1, 51) / 30, 1.0)
@@ -25,7 +25,7 @@ def named(shape: Any, *, rng: np.random.Generator = RNG, sigma: float = 2.0, com
     n = len(shape)
     error = sigma * np.asarray(shape) + sigma * rng.standard_normal(n) + common * rng.standard_normal()
     sd = np.full(n, np.hypot(sigma, common))
-    return name(error, sd, sigma, settings.pop("y", error), **({"still": False, "over": True} | settings))
+    return name(error, sd, NoiseOf(sigma), settings.pop("y", error), **({"still": False, "over": True} | settings))
 
 
 @pytest.mark.parametrize("kind", SHAPES)
@@ -66,12 +66,12 @@ def test_a_short_excursion_is_a_spike_once_it_is_over() -> None:
 
 def test_each_event_of_spikes_has_its_own_height_and_sign() -> None:
     error, sd = np.array([0.1, -20.0, 0.0]), np.ones(3)
-    found = resized(Named("spikes", 18.0, 15.0, 21.0, ("noise",)), error, sd, 1.0)
+    found = resized(Named("spikes", 18.0, 15.0, 21.0, ("noise",)), error, sd, NoiseOf(1.0))
     assert found == Named("spikes", -20.0, pytest.approx(-21.96), pytest.approx(-18.04), ("noise",))
     spikes = Named("spikes", 18.0, 15.0, 21.0)
-    assert resized(spikes, np.array([0.1, np.nan]), np.ones(2), 1.0) is spikes  # the detector waits for more
+    assert resized(spikes, np.array([0.1, np.nan]), np.ones(2), NoiseOf(1.0)) is spikes  # the detector waits for more
     bias = Named("bias", 1.0, 0.5, 1.5)
-    assert resized(bias, error, sd, 1.0) is bias
+    assert resized(bias, error, sd, NoiseOf(1.0)) is bias
 
 
 def test_readings_that_repeat_or_are_missing() -> None:
@@ -81,5 +81,5 @@ def test_readings_that_repeat_or_are_missing() -> None:
     assert named(SHAPES["drift"], y=y, still=True).kind == "drift"  # the sensor repeats itself when healthy, too
     y = np.where(np.arange(50) % 3 == 0, 1.0, np.nan)
     assert named(SHAPES["bias"], y=y).kind == "dropout"
-    nothing = name(np.full(5, np.nan), np.full(5, np.nan), 1.0, np.arange(5.0), still=False, over=True)
+    nothing = name(np.full(5, np.nan), np.full(5, np.nan), NoiseOf(1.0), np.arange(5.0), still=False, over=True)
     assert nothing.kind == "" and np.isnan(nothing.size)

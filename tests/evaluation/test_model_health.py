@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from scipy.special import ndtr, ndtri
+from toy_plants import chain
 
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.signals import Sensor, SlowNoise
 from fusion_sfdia.evaluation.hindsight_steps import Hindsight
 from fusion_sfdia.evaluation.model_health import Health, health_of, limit_of
 
 NAMES = ("a", "b", "c", "d")
+PLANT = replace(chain(4), sensors=tuple(Sensor(name, f"x{i}", sigma=1.0) for i, name in enumerate(NAMES)))
 START = np.array([0])
 
 
-def health(z: np.ndarray, **settings: object) -> Health:
+def health(z: np.ndarray, plant: Plant = PLANT, **settings: Any) -> Health:
     """The health of a log with standardised innovations z (K, 4)."""
     known = np.isfinite(z)
     nis = np.where(known.any(axis=1), np.nansum(z**2, axis=1) / np.maximum(known.sum(axis=1), 1), np.nan)
     after = Hindsight(z, np.ones_like(z), z, nis, known.sum(axis=1))
-    return health_of(NAMES, after, START, 1e-3, tuple(settings.get("remarks", ())))
+    return health_of(plant, after, START, 1e-3, tuple(settings.get("remarks", ())))
 
 
 def test_at_the_limit_false_alarms_are_ten_times_as_frequent() -> None:
@@ -47,6 +55,21 @@ def test_white_innovations_fit_and_larger_or_slower_ones_do_not() -> None:
     assert health(one).line.startswith("model fits, with reservations: ") and "1 of 4 sensors" in health(one).line
     quiet = health(0.5 * z)
     assert quiet.cautious and quiet.line.startswith("model cautious: ")
+
+
+def test_slow_noise_that_is_stated_fits() -> None:
+    """Of 100 logs whose second sensor has slow noise none is off; one that states none is, in all."""
+    rng, q = np.random.default_rng(4), np.exp(-1 / 20)
+    slow = SlowNoise(0.8, 20.0)
+    stated = replace(PLANT, sensors=tuple(replace(s, noise=slow if s.name == "b" else None) for s in PLANT.sensors))
+    found = []
+    for _ in range(100):
+        z = rng.standard_normal((600, 4))
+        wandering = np.sqrt(0.8) * lfilter([np.sqrt(1 - q**2)], [1.0, -q], rng.standard_normal(600))
+        z[:, 1] = np.sqrt(0.2) * z[:, 1] + wandering
+        found.append([health(z, plant) for plant in (PLANT, stated)])
+    assert all("b" in (*without.excess, *without.shifts) for without, _ in found)
+    assert not any(fits.excess or fits.shifts for _, fits in found)
 
 
 def test_healthy_logs_are_not_suspected() -> None:

@@ -12,7 +12,7 @@ from toy_plants import chain, changed, tanks
 from fusion_sfdia.core.linear import linear_plant
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import require_seeds, stream
-from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.core.signals import Sensor, Signal, SlowNoise
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.models.gas_pipeline.plant import coarse_state, gas_pipeline
 from fusion_sfdia.models.power_network.plant import power_network
@@ -162,6 +162,22 @@ def test_reading_noise_has_the_stated_law(sensor, law):
     assert np.abs(noise).max() <= sensor.noise_bound
 
 
+def test_slow_noise_has_the_stated_share_and_time_constant():
+    """1 000 runs: a correlation has the standard error 1/sqrt(1 000); each reading has the stated law as before."""
+    slow = SlowNoise(0.6, 20.0)
+    found = simulate(walk(Sensor("s", "x0", sigma=2.0, noise=slow)), 60, range(1000))
+    noise = (found.y - found.signal)[..., 0]
+    assert kstest(noise[30], "norm", (0, 2)).pvalue > 1e-3
+    for lag in (1, 5, 40):
+        assert np.corrcoef(noise[0], noise[lag])[0, 1] == pytest.approx(0.6 * np.exp(-lag / 20), abs=4 / np.sqrt(1000))
+    bounded = simulate(walk(Sensor("s", "x0", sigma=1.0, bound=1.5, noise=slow)), 60, range(1000))
+    assert np.abs(bounded.y - bounded.signal).max() <= 1.5
+    white = simulate(walk(Sensor("s", "x0", sigma=2.0, noise=SlowNoise(0.0, 20.0))), 60, range(20))
+    np.testing.assert_allclose(
+        white.y, simulate(walk(Sensor("s", "x0", sigma=2.0)), 60, range(20)).y, rtol=1e-9, atol=1e-9
+    )  # by quantiles
+
+
 def test_noise_is_independent_over_time_sensors_and_seeds():
     """A correlation of n independent pairs has the standard error 1/sqrt(n); four are allowed."""
     found = simulate(chain(4), 500, range(10))
@@ -233,6 +249,14 @@ def test_noise_of_the_truths_sensors_is_what_is_added():
     truth = walk(Sensor("s", "x0", sigma=3.0))
     ours, theirs = simulate(plant, 30, [4]), simulate(plant, 30, [4], truth=truth)
     np.testing.assert_allclose(theirs.y, 3 * ours.y, rtol=1e-12)
+
+
+def test_a_finer_truth_is_read_by_the_plants_sensors():
+    plant = tanks()
+    louder = replace(plant, sensors=tuple(replace(s, sigma=3 * s.sigma) for s in plant.sensors))
+    ours, theirs = simulate(plant, 30, [4]), simulate(louder, 30, [4])
+    np.testing.assert_array_equal(theirs.signal, ours.signal)
+    np.testing.assert_allclose(theirs.y - theirs.signal, 3 * (ours.y - ours.signal), rtol=1e-9, atol=1e-12)
 
 
 def test_leaving_the_limits_names_seed_time_state_and_cure():

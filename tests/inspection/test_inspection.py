@@ -13,7 +13,7 @@ import pytest
 from optional_packages import needs_toolbox
 from toy_plants import Array, chain, tanks
 
-from fusion_sfdia import Numerics, Physics, Plant, Sensor, Signal, discretise, inspect_plant, linear_plant, simulate
+from fusion_sfdia import Numerics, Physics, Plant, Sensor, Signal, SlowNoise, discretise, inspect_plant, linear_plant, simulate
 from fusion_sfdia.core.augment import augment
 from fusion_sfdia.core.uncertainty import Disturbance, Uncertainty
 from fusion_sfdia.inspection.steady import of_start
@@ -253,6 +253,15 @@ def test_a_healthy_log_shows_noise_that_is_stated_wrongly() -> None:
     assert any(f.about == "lower_2" and "differ from their predictions by" in f.text for f in found.remarks)
     right = inspect_plant(made, simulate(made, 300, seeds=[7], process_noise=True), simulated=False)
     assert not [f for f in right.remarks if "healthy" in f.text]
+
+
+def test_slow_noise_is_stated_and_raises_what_can_be_detected() -> None:
+    made = plant(levels)
+    slow = replace(made, sensors=tuple(replace(s, noise=SlowNoise(0.5, 40.0)) for s in made.sensors))
+    found, white = (inspect_plant(p, detectors=["loo-glr"], sensors=["upper_1"], simulated=False) for p in (slow, made))
+    assert ", 50 % slow (40 s)" in as_text(found) and " % slow" not in as_text(white)
+    assert found.theory is not None and white.theory is not None
+    assert (found.theory.bias > 2 * white.theory.bias).all()
 
 
 def test_json_has_all_of_it_and_no_infinity() -> None:

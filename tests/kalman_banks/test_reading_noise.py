@@ -26,11 +26,13 @@ from fusion_sfdia.kalman_banks.reading_noise import (
     is_larger,
     learnt,
     nothing_shown,
+    stated_inflation,
     unclipped,
 )
 
 Array = NDArray[Any]
 RUNS = 200
+WHITE = (np.zeros(5), np.zeros(5))  # no slow part
 # the slope of P(e^2 > m exp(d)) - P(e^2 < m exp(d)) at d = 0, where m is the median of chi-square
 MEDIAN = float(chi2.median(1))
 SLOPE = 2 * MEDIAN * float(chi2.pdf(MEDIAN, 1))
@@ -135,14 +137,14 @@ def test_what_a_model_is_off_counts_in_the_sums_of_sensors_alone() -> None:
     age = np.array([[1.0, 5.0, 30.0]])
     right = nothing_shown((1,), 3)
     off = right._replace(off=np.array([0.2]))
-    without, found = inflation_of(right, age), inflation_of(off, age)
+    without, found = inflation_of(right, age, WHITE), inflation_of(off, age, WHITE)
     np.testing.assert_array_equal(found.common, without.common)
     np.testing.assert_allclose(found.own - without.own, np.repeat(0.2 * age[..., None], 3, axis=-1), rtol=1e-12)
 
 
 def test_before_any_reading_noise_is_supposed_to_be_correlated_by_four_fifths() -> None:
     age = np.array([[1.0, 2.0, 7.0, 40.0]])
-    found = inflation_of(nothing_shown((1,), 3), age)
+    found = inflation_of(nothing_shown((1,), 3), age, WHITE)
     expected = [variance_of_sum(int(n), 0.8) for n in age[0]]
     np.testing.assert_allclose(found.common[0], expected, rtol=rounding(25.0, 100))
     np.testing.assert_allclose(found.own[0], np.repeat(found.common[0][:, None], 3, axis=1), rtol=0)
@@ -156,7 +158,7 @@ def test_sums_vary_as_those_of_noise_with_its_size_and_correlation() -> None:
         every=np.array([white * 0.7]),
         spread=np.array([[1.2, 1.2, 3.0, 1.2, 1.0]]),
     )
-    found = inflation_of(now, age)
+    found = inflation_of(now, age, WHITE)
     shared, correlated = (np.array([variance_of_sum(int(n), q) for n in age[0]]) for q in (0.3, 0.8))
     near = 1e-5  # of the integral
     np.testing.assert_allclose(found.common[0], 1.2 * shared, rtol=near)
@@ -164,6 +166,22 @@ def test_sums_vary_as_those_of_noise_with_its_size_and_correlation() -> None:
     np.testing.assert_allclose(found.own[0, :, 1], 1.2 * correlated, rtol=near)
     np.testing.assert_allclose(found.own[0, :, 2], 3.0 * shared, rtol=near)
     np.testing.assert_allclose(found.own[0, :, 4], shared, rtol=near)
+
+
+def test_sums_vary_at_least_as_slow_noise_that_is_stated() -> None:
+    """All together by its mean, and each sensor by its own; a sensor that shows more counts as it shows itself."""
+    age, white = np.array([[1.0, 5.0, 30.0]]), mean_of_cut(1.0)
+    now = nothing_shown((1,), 3)._replace(own=white * np.array([[1.0, 1.0, 0.2]]), every=np.array([white * 0.9]))
+    slow = (np.array([0.5, 0.0, 0.0]), np.array([0.98, 0.0, 0.0]))
+    of_slow = np.array([1 + 0.5 * (variance_of_sum(int(n), 0.98) - 1) for n in age[0]])
+    shown, alone = (np.array([variance_of_sum(int(n), q) for n in age[0]]) for q in (0.1, 0.8))
+    found = inflation_of(now, age, slow)
+    near = 1e-5  # of the integral
+    np.testing.assert_allclose(found.common[0], np.maximum(shown, (of_slow + 2) / 3), rtol=near)
+    np.testing.assert_allclose(found.own[0, :, 0], np.maximum(of_slow, shown), rtol=near)
+    np.testing.assert_allclose(found.own[0, :, 2], alone, rtol=near)
+    np.testing.assert_allclose(stated_inflation(30, slow), [of_slow[2], 1, 1], rtol=rounding(1 / 0.02**2, 100))
+    assert stated_inflation(np.inf, slow)[0] == pytest.approx(0.5 + 0.5 * 1.98 / 0.02)
 
 
 def test_correlations_are_believed_from_white_to_nearly_constant() -> None:

@@ -18,7 +18,9 @@ from fusion_sfdia.core.augment import augment
 from fusion_sfdia.core.detector import Decision, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.saved_detectors import load_detector, save_detector
+from fusion_sfdia.core.signals import SlowNoise
 from fusion_sfdia.core.storage import load_state, save_state
+from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.kalman_banks import reading_noise, robust_bank, robust_memory
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.kalman_banks.robust_bank import QUIET_SHARE, RobustBank
@@ -408,6 +410,20 @@ def test_what_changes_slowly_is_a_ramp_or_drift_of_its_slope(of: str, monkeypatc
     assert slow.mean() > 0.8
     # onsets so far back are up to a factor of 2 apart: an earlier one has a smaller slope
     assert 0.4 * slope < np.median(size[slow]) < 1.25 * slope
+
+
+def test_slow_noise_that_is_declared_isolates_no_sensor() -> None:
+    """24 runs of the tanks of 300 samples, noise half of which is nearly constant for 50: some are isolated where it is stated
+    as white, none where it is declared; a bias of 12 sigma is then still isolated."""
+    slow = SlowNoise(0.5, 50 * tanks().dt)
+    plant = replace(tanks(), sensors=tuple(replace(s, noise=slow) for s in tanks().sensors))
+    log = simulate(plant, 300, range(24), process_noise=True)
+    white, declared = (diagnosed(RobustBank(p), log.y, log.u_of_runs).isolated for p in (tanks(), plant))
+    assert white.mean() > 0.005 and not declared.any()
+    y = log.y.copy()
+    y[100:, :, 1] += 12 * plant.sensor_sigma[1]
+    found = diagnosed(RobustBank(plant), y, log.u_of_runs).isolated
+    assert found[110:, :, 1].mean() > 0.8 and not found[..., [0, 2, 3]].any()
 
 
 def test_a_bias_that_a_model_may_err_by_is_an_alarm_without_a_name() -> None:

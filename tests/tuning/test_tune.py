@@ -21,7 +21,8 @@ from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.rate import Rate
-from fusion_sfdia.core.signals import Signal
+from fusion_sfdia.core.signals import Signal, SlowNoise
+from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.tuning.response import ModelChangedWarning
 from fusion_sfdia.tuning.tail import counted
 from fusion_sfdia.tuning.tune import Source, tune
@@ -63,6 +64,21 @@ def test_the_noise_of_each_sensor_is_found() -> None:
     np.testing.assert_allclose(found, TRUE_SIGMA, rtol=4 / np.sqrt(1100))
     assert [row["stated"] for row in tuned().document["sensors"].values()] == [1.0] * 4
     assert abs(tuned().quality["nis"] - 1) < 4 * np.sqrt(2 / (RUNS * STEPS * 4)) < 0.3 < abs(tuned().quality["nis_before"] - 1)
+
+
+@pytest.mark.slow
+def test_slow_noise_is_learnt_and_kept_in_the_file(tmp_path: Path) -> None:
+    """White logs show none; the noise is stated in the text, and written and read as it is."""
+    slow = replace(PLANT.sensors[1], noise=SlowNoise(0.6, 15.0))
+    plant = replace(PLANT, sensors=(PLANT.sensors[0], slow, *PLANT.sensors[2:]))
+    log = simulate(plant, STEPS, range(RUNS), process_noise=True)
+    found = tune(PLANT, log, false_alarm=RATE, detector="loo-glr")
+    found.write(tmp_path / "tuned.toml")
+    kept = [s.noise for s in Tuned.read(tmp_path / "tuned.toml").plant(PLANT).sensors]
+    assert kept[1] is not None and kept[0] is None and kept[2:] == [None, None]
+    assert kept == [s.noise for s in found.plant(PLANT).sensors]
+    assert re.search(r"^  noise of s1: \d+ % of it slow, time constant \S+ s$", as_text(found), re.MULTILINE)
+    assert all(s.noise is None for s in tuned().plant(PLANT).sensors)
 
 
 @pytest.mark.slow
