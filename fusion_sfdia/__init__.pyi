@@ -34,7 +34,7 @@ from fusion_sfdia.core.saved_detectors import load_detector as load_detector
 from fusion_sfdia.core.saved_detectors import save_detector as save_detector
 from fusion_sfdia.core.signals import Sensor as Sensor
 from fusion_sfdia.core.signals import Signal as Signal
-from fusion_sfdia.core.signals import SlowNoise as SlowNoise
+from fusion_sfdia.core.slow_noise import SlowNoise as SlowNoise
 from fusion_sfdia.core.state import State as State
 from fusion_sfdia.core.storage import load_state as load_state
 from fusion_sfdia.core.storage import save_state as save_state

@@ -1,7 +1,7 @@
 """Commissioning: a plant adapted to a healthy log of the real one, so that any detector on it knows what the log shows.
 
-A sensor that scatters clearly more than stated first gets the noise that it has. Then three stages, each on the result of the
-one before: declared parameters and errors of inputs (`parameters`), directions of
+A sensor that reads in steps gets that resolution, and one that scatters clearly more than stated the noise that it has. Then
+three stages, each on the result of the one before: declared parameters and errors of inputs (`parameters`), directions of
 mismatch of which nothing is declared (`disturbances`), process and sensor noise (`noise`). Each is learnt from one half of the
 log and judged by the likelihood of the other half, and the reverse; what is kept is then learnt from the whole log. Where the
 innovations of a sensor are still slow, that is the slow part of its noise (`slow_noise`).
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.commissioning.disturbances import WINDOW, Found, learnt, windows
 from fusion_sfdia.commissioning.innovations import settling
-from fusion_sfdia.commissioning.noise import Noise, joined, likeliest_noise, louder_sensors, with_noise
+from fusion_sfdia.commissioning.noise import Noise, in_steps, joined, likeliest_noise, louder_sensors, with_noise
 from fusion_sfdia.commissioning.parameters import Estimate, estimated, moved
 from fusion_sfdia.commissioning.refusals import (
     At,
@@ -108,9 +108,8 @@ def commissioned(plant: Plant, *healthy: Any, false_alarm: float | None = 1e-3, 
     halves = [settled & (np.arange(steps) < middle), settled & (np.arange(steps) >= middle)]
     now = [fitted(plant, log)] * 2
     before = _held_out(now, halves)
-    plant = louder_sensors(stated := plant, now[0].single[settled])
-    if not np.array_equal(plant.sensor_sigma, stated.sensor_sigma):
-        now = [fitted(plant, log)] * 2
+    plant, now = _with_sensors(plant, in_steps(plant, log.y), now, log)
+    plant, now = _with_sensors(plant, louder_sensors(plant, now[0].single[settled]), now, log)
     halfway, parts = [plant, plant], {}
     for name, stage in STAGES.items():
         found = [stage(p, log, half) for p, half in zip(halfway, halves, strict=True)]
@@ -141,6 +140,12 @@ def commissioned(plant: Plant, *healthy: Any, false_alarm: float | None = 1e-3, 
         result, settle, before, _held_out(now, halves), kept, parameters, disturbances, noise, start,
         first_error(result, log), middle, (halfway[0], halfway[1]), (now[0], now[1]),
     )  # fmt: skip
+
+
+def _with_sensors(plant: Plant, changed: Plant, now: list[Fit], log: Log) -> tuple[Plant, list[Fit]]:
+    """The plant with changed sensors, and its fits in place of those before, where the noise is another."""
+    same = np.array_equal(plant.sensor_sigma, changed.sensor_sigma)
+    return changed, now if same else [fitted(changed, log)] * 2
 
 
 def as_runs(plant: Plant, healthy: Any) -> Log:

@@ -23,6 +23,7 @@ from fusion_sfdia.commissioning.innovations import Sample, filtered, until
 from fusion_sfdia.core.augment import fixed
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.regularity import resolution
 
 Array = NDArray[Any]
 
@@ -73,6 +74,15 @@ def with_noise(plant: Plant, noise: Noise) -> Plant:
         for s, f in zip(plant.sensors, sensors, strict=True)
     )
     return replace(plant, process_cov=cov, sensors=meters)
+
+
+def in_steps(plant: Plant, y: Array) -> Plant:
+    """The plant with the resolution of sensors that state none and whose readings y (K, B, N) have steps above their noise."""
+    steps = [s.resolution or resolution(y[..., i].T.ravel()) for i, s in enumerate(plant.sensors)]
+    return replace(
+        plant,
+        sensors=tuple(replace(s, resolution=q) if q > s.noise_sigma else s for s, q in zip(plant.sensors, steps, strict=True)),
+    )
 
 
 def louder_sensors(plant: Plant, single: Array) -> Plant:

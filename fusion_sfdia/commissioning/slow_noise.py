@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.signals import SlowNoise
+from fusion_sfdia.core.slow_noise import SlowNoise
 
 Array = NDArray[Any]
 

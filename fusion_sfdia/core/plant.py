@@ -23,7 +23,8 @@ from fusion_sfdia.core.equation import complex_step_holds, complex_step_jacobian
 from fusion_sfdia.core.limits import within
 from fusion_sfdia.core.plant_checks import require_considered, require_kinds, require_shapes
 from fusion_sfdia.core.plant_groups import Numerics, OutputFunction, StepFunction, Structure, Truth
-from fusion_sfdia.core.signals import Sensor, Signal, SlowNoise
+from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.core.slow_noise import SlowNoise
 from fusion_sfdia.core.uncertainty import Uncertainty
 from fusion_sfdia.core.units import in_units
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion_sfdia.core.arguments import number
+from fusion_sfdia.core.slow_noise import SlowNoise
 
 
 @dataclass(frozen=True)
@@ -44,24 +45,6 @@ class Signal:
             if sigma is not None and not 0 <= number(f"signal {self.name!r}: {what}", sigma) < np.inf:
                 raise ValueError(f"signal {self.name!r}: {what} is {sigma}; it must be finite and at least 0, or left out")
         _require_period(f"signal {self.name!r}", self.period)
-
-
-@dataclass(frozen=True)
-class SlowNoise:
-    """The slow part of a sensor's noise: first-order noise, as of a wandering zero point.
-
-    share: of the variance, from 0 to below 1; what is left is white. time_constant: in s; its autocorrelation after t seconds
-    is exp(-t / time_constant). Raises ValueError for others.
-    """
-
-    share: float
-    time_constant: float
-
-    def __post_init__(self) -> None:
-        if not 0 <= number("slow noise: share", self.share) < 1:
-            raise ValueError(f"slow noise: share is {self.share}; it must be at least 0 and below 1, a share of the variance")
-        if not 0 < number("slow noise: time_constant", self.time_constant) < np.inf:
-            raise ValueError(f"slow noise: time_constant is {self.time_constant}; it must be positive and finite, in seconds")
 
 
 @dataclass(frozen=True)

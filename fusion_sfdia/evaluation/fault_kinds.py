@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.kalman_banks.reading_noise import stated_inflation
+from fusion_sfdia.core.slow_noise import inflation_of
 
 Array = NDArray[Any]
 
@@ -177,7 +177,7 @@ def _size(kind: str, e: Array, s: Array, noise: NoiseOf, ramps: Ramps, rho: floa
     """
     n, sigma = e.size, noise.sigma
     common = float(np.mean(np.maximum(s**2 - sigma**2, 0.0)))
-    inflated, of_noise = (1 + rho) / (1 - rho), sigma**2 * float(stated_inflation(n, noise.slow)[0])
+    inflated, of_noise = (1 + rho) / (1 - rho), sigma**2 * float(inflation_of(n, *noise.slow)[0])
     if kind == "bias":
         spread = float(np.var(e, ddof=1)) / n * inflated if n > 1 else 0.0
         return _interval(float(np.mean(e)), np.sqrt(max(of_noise / n + common, spread)))

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.slow_noise import inflation_of
 from fusion_sfdia.evaluation.hindsight_steps import Hindsight
-from fusion_sfdia.kalman_banks.reading_noise import stated_inflation
 
 Array = NDArray[Any]
 
@@ -135,7 +135,7 @@ def health_of(plant: Plant, after: Hindsight, starts: Array, false_alarm: float,
     readings M that SURE sqrt(2 / M) is below limit - 1.
     """
     names, slow = plant.sensor_names, plant.slow_noise
-    usual = stated_inflation(np.inf, slow)
+    usual = inflation_of(np.inf, *slow)
     settled = np.ones(len(after.nis), bool)
     for k in starts:
         settled[k : k + WARM_UP] = False
@@ -159,7 +159,7 @@ def health_of(plant: Plant, after: Hindsight, starts: Array, false_alarm: float,
         means, errors = _means((after.error / after.sd)[used, i])
         if slow[0][i]:
             part = n / PARTS
-            errors = np.maximum(errors, np.sqrt(stated_inflation(part, slow)[i] / part))
+            errors = np.maximum(errors, np.sqrt(inflation_of(part, *slow)[i] / part))
         surely = np.abs(means) - sure * errors
         if surely[k := int(np.argmax(surely))] > off:
             shifts[name] = float(means[k])

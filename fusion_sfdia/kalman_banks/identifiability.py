@@ -11,8 +11,8 @@ process is less by the share that both have in common,
 The smallest detectable size is that with a mean of 5: at a threshold h it is detected with probability Phi(5 - h), .96 at the
 3.29 of a false-alarm probability of 1e-3, and one half at 5. A detector that searches many sensors and onsets has a higher
 threshold, and one with a window sees no more samples than that. With considered parameters the innovations are correlated in
-time, which the variance neglects. Of a sensor that states slow noise (`SlowNoise`) the variance of a is c b, with c of
-`reading_noise` for a sum over all samples since the onset.
+time, which the variance neglects. Of a sensor that states slow noise (`SlowNoise`) the variance of a is as many times b as a
+sum over all samples since the onset varies more.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.arguments import whole
 from fusion_sfdia.core.augment import augment
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.slow_noise import inflation_of
 from fusion_sfdia.core.uncertainty import Uncertainty
 from fusion_sfdia.filters.estimators import Extended, GaussianState, step_stream
 from fusion_sfdia.filters.gaussian import gain
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, posterior, statistics
 from fusion_sfdia.kalman_banks.likelihood_window import Effect, Grid, Shifted, empty, updated, weigh
-from fusion_sfdia.kalman_banks.reading_noise import stated_inflation
 from fusion_sfdia.kalman_banks.window_step import last_update, no_update, window_step
 
 Array = NDArray[Any]
@@ -149,7 +149,7 @@ def identifiability(plant: Plant, samples: float = 60, settle: int = 60) -> Iden
     whole_model = _limits(free, added, samples, settle)
     alone = _limits(replace(plant, uncertainty=Uncertainty()), 0, whole_model.samples, settle) if added else whole_model
     sigma = plant.sensor_sigma
-    units = sigma / np.sqrt(stated_inflation(whole_model.samples, plant.slow_noise))
+    units = sigma / np.sqrt(inflation_of(whole_model.samples, *plant.slow_noise))
     return Identifiability(
         plant=plant.name,
         sensors=plant.sensor_names,

@@ -12,11 +12,8 @@ the model and the stated noise are right. Four things are followed, all so that 
                   (1 + CHANCE_LEVEL / sqrt(N)) V), the median over N sensors, V the variance that noise gives m; this counts a
                   block of BLOCK samples later, so that a fault which begins is judged without it
 
-A sum over n samples of noise with the correlation q from each sample to the next varies
-
-    c(n, q) = 1 + 2 sum_{k=1}^{n-1} (1 - k/n) q^k = (1 + q) / (1 - q) - 2 q (1 - q^n) / (n (1 - q)^2)
-
-times as much as one of white noise, and where levels vary by M from sensor to sensor the square of the sum grows by n^2 M, its
+A sum over n samples of noise with the correlation q from each sample to the next varies c(n, q) times as much as one of white
+noise, see `core.slow_noise`, and where levels vary by M from sensor to sensor the square of the sum grows by n^2 M, its
 variance over that of white noise by n M. Where a sensor states slow noise (`SlowNoise`), of the share s and the correlation q
 from sample to sample, sums vary at least 1 + s (c(n, q) - 1) times as much. The statistics of windows are divided by it, those
 of the process without M: all sensors together show it.
@@ -31,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammainc
 
+from fusion_sfdia.core import slow_noise
 from fusion_sfdia.core.equation import compiled, part
 from fusion_sfdia.kalman_banks import bank_kernels
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut
@@ -54,6 +52,8 @@ OWN, ALL = 128.0, 24.0  # samples in the running means of a sensor, and of all t
 SUPPOSED, WEIGHT = 0.8, 8.0  # correlation before any reading, and the samples that it counts for
 CHANCE = 0.2  # correlation of a sensor alone that counts: about two standard errors of OWN samples
 HIGHEST = 0.98  # correlation
+
+inflation = part(slow_noise.inflation)  # the cache of compiled loops does not notice an edit of that file
 
 
 class ReadingNoise(NamedTuple):
@@ -105,32 +105,6 @@ def learnt(now: ReadingNoise, found: LeaveOneOut, where: Array) -> ReadingNoise:
 def unseen(size: float) -> float:
     """Variance of e, from ln kappa: that part of the noise which the filter does not take into account."""
     return float(np.exp(min(size, LARGER)))
-
-
-@part
-def inflation(n: float, q: float) -> float:
-    """c(n, q) of sums over n samples."""
-    found: float = (1 + q) / (1 - q) - 2 * q * (1 - q**n) / (n * (1 - q) ** 2)
-    return found
-
-
-def stated_inflation(n: float, slow: tuple[Array, Array]) -> Array:
-    """By how much sums over n samples vary at least (N,), by the slow noise that sensors state (`Plant.slow_noise`)."""
-    return _stated(float(n), *slow)
-
-
-@compiled
-def _stated(n: float, share: Array, kept: Array) -> Array:
-    found = np.empty(share.size)
-    for i in range(share.size):
-        found[i] = at_least(n, share[i], kept[i])
-    return found
-
-
-@part
-def at_least(n: float, share: float, q: float) -> float:
-    """The inflation of sums over n samples of noise with a slow part of that share and correlation."""
-    return 1 + share * (inflation(n, q) - 1)
 
 
 @part
@@ -199,39 +173,36 @@ def is_larger(now: ReadingNoise) -> Array:
     return np.asarray(now.size > LARGER)
 
 
-def inflation_of(now: ReadingNoise, age: Array, slow: tuple[Array, Array]) -> Inflation:
+def inflation_of(now: ReadingNoise, age: Array, stated: Array) -> Inflation:
     """By how much the sums over windows of that age (..., L) vary more than those of white noise.
 
     By the correlation of all sensors together, and the median of what their variances are over the stated ones; of each sensor
-    by its own, where that is more, and by what the model is off; at least by the slow noise that sensors state, see
-    `Plant.slow_noise`, together by its mean.
+    by its own, where that is more, and by what the model is off; at least by the slow noise that sensors state, together by its
+    mean. stated (M, N): what that is of sums over 0 to M - 1 samples, see `core.slow_noise`; longer ones count as M - 1.
     """
     batch = age.shape[:-1]
-    given = [*(bank_kernels.runs(v, batch) for v in (age, now.own, now.every, now.spread, now.off)), *slow]
+    given = [*(bank_kernels.runs(v, batch) for v in (age, now.own, now.every, now.spread, now.off)), stated]
     common, own = _inflation(*given)
     return Inflation(common.reshape(age.shape), own.reshape(*age.shape, own.shape[-1]))
 
 
 @compiled
-def _inflation(
-    age: Array, own: Array, every: Array, spread: Array, off: Array, share: Array, kept: Array
-) -> tuple[Array, Array]:
+def _inflation(age: Array, own: Array, every: Array, spread: Array, off: Array, stated: Array) -> tuple[Array, Array]:
     """The same of B runs: common (B, L), own (B, L, N)."""
     (B, L), N = age.shape, own.shape[1]
-    common, each, stated = np.empty((B, L)), np.empty((B, L, N)), np.empty(N)
+    common, each = np.empty((B, L)), np.empty((B, L, N))
     for r in range(B):
         together = common_correlation(own[r], every[r])
         usual = np.median(spread[r])
         for l in range(L):  # noqa: E741
             n = max(age[r, l], 1.0)
-            for i in range(N):
-                stated[i] = at_least(n, share[i], kept[i])
-            shared = max(inflation(n, together), np.mean(stated))
+            least = stated[min(int(n), len(stated) - 1)]
+            shared = max(inflation(n, together), np.mean(least))
             common[r, l] = shared * usual
             for i in range(N):
                 q = correlation(own[r, i])
                 alone = inflation(n, q) if q > max(together, CHANCE) else shared
-                each[r, l, i] = max(alone, stated[i]) * spread[r, i] + n * off[r]
+                each[r, l, i] = max(alone, least[i]) * spread[r, i] + n * off[r]
     return common, each
 
 

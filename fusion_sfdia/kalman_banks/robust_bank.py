@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from fusion_sfdia.core import slow_noise
 from fusion_sfdia.core.arguments import number, whole
 from fusion_sfdia.core.batch_detector import TimeStep
 from fusion_sfdia.core.detector import Decision, ProcessHypothesis
@@ -163,6 +164,12 @@ class RobustBank(ExcludingBank):
         return Grid.spanning(self.window), Grid.spanning(self.memory, SLOW_STEP)
 
     @cached_property
+    def _stated_inflation(self) -> Array:
+        """By how much sums over 0, 1, .. samples vary at least (memory + 1, N), by the slow noise that sensors state."""
+        n = np.maximum(np.arange(self.memory + 1.0), 1.0)
+        return np.array(slow_noise.inflation_of(n[:, None], *self.plant.slow_noise))
+
+    @cached_property
     def _change_sigma(self) -> Array:
         """Standard deviation of the noise in a difference of successive readings (N,), over the square root of 2."""
         share, kept = self.plant.slow_noise
@@ -217,7 +224,7 @@ class RobustBank(ExcludingBank):
         assert prior.tangent is not None and joint.H is not None
         step = window_step(last, prior.tangent, joint.H, counted.found, windows[0].eta.dtype, of.leading)
         weighed = self._weigh(windows, prior.tangent, step, now.k)
-        inflations = tuple(inflation_of(noise, w.age, self.plant.slow_noise) for w in weighed)
+        inflations = tuple(inflation_of(noise, w.age, self._stated_inflation) for w in weighed)
         tested, evidence = self._compete(weighed, inflations, counted.found, handicap)
         of_whole = evidence
         if counted.less.any():  # of a fault of the process, it may be
@@ -320,7 +327,7 @@ class RobustBank(ExcludingBank):
             assert prior.tangent is not None
             look = with_sample(look, prior.tangent, joint, found)
             size = of.recent_sizes[: y.shape[-1] + of.added]
-            inflation = inflation_of(now.noise, look.samples[..., None], self.plant.slow_noise).common[..., 0]
+            inflation = inflation_of(now.noise, look.samples[..., None], self._stated_inflation).common[..., 0]
             out = now.exclusion.out & ~quiet
             judged, right = answered(look, Question(out, now.exclusion.size, size, inflation, self.sensor_margin))
             look, right = of_runs(anew, look, judged), right & ~anew  # what stands since now is not of this look

@@ -23,13 +23,16 @@ CHANCE = 1e-4  # probability that spikes elsewhere are taken for spikes at steps
 
 
 def require_no_spike(plant: Plant, residual: Array, u: Array, at: Callable[[int, int], str]) -> None:
-    """Raise ValueError where residuals (K, B, N) have a spike; u (K, B, m): inputs that acted until each sample.
+    """Raise ValueError where residuals (K, B, N), in standard deviations of the model, have a spike; u (K, B, m): inputs that
+    acted until each sample.
 
-    at: the time of a sample of a run in words.
+    A sensor's spread is that of the middle half of its residuals; of one that reads in steps, most of whose readings may be
+    equal, at least that of the model. at: the time of a sample of a run in words.
     """
     middle = np.nanmedian(residual, axis=(0, 1))
     spread = 1.4826 * np.nanmedian(np.abs(residual - middle), axis=(0, 1))
-    size = np.nan_to_num(np.abs(residual - middle) / np.maximum(spread, np.finfo(float).tiny))
+    spread = np.maximum(spread, np.where(plant.sensor_resolution > 0, 1.0, np.finfo(float).tiny))
+    size = np.nan_to_num(np.abs(residual - middle) / spread)
     k, b, i = (int(j) for j in np.unravel_index(int(np.argmax(size)), size.shape))
     if not size[k, b, i] > SPIKE:
         return
@@ -37,7 +40,7 @@ def require_no_spike(plant: Plant, residual: Array, u: Array, at: Callable[[int,
     also = f", as do{'es' * (more == 1)} {more} more reading{'s' * (more != 1)}" if more else ""
     cure = of_convention(plant, np.any(size > SPIKE, axis=-1), u) or "leave spikes out (NaN), or give a log without faults"
     raise ValueError(
-        f"sensor {plant.sensors[i].name!r} contradicts all others at {at(k, b)}, by {size[k, b, i]:.1f} of its standard "
+        f"sensor {plant.sensors[i].name!r} contradicts all others at {at(k, b)}, by {size[k, b, i]:.3g} of its standard "
         f"deviations{also}; {cure}"
     )
 

@@ -78,7 +78,7 @@ def tune(
     require_no_drift(at_the_mean, log, found.settle, sigma, at)
     first, second = (fit.single[found.settle :] for fit in found.fits)
     settled, middle = partial(_at, times[found.settle :], of, moments), found.middle - found.settle
-    require_stationary(plant, (first, second), log.u[found.settle :], middle, settled)
+    require_stationary(found.plant, (first, second), log.u[found.settle :], middle, settled)
 
     build = partial(_build, entry, per_sample, (len(log.t) - found.settle) // 2 * log.y.shape[1])
     parts = _held_out_scores(found, log, build)
@@ -88,16 +88,19 @@ def tune(
             f"the score of {entry.name} on healthy readings is {limit.scale:g} where it should alarm: no threshold "
             "has that rate"
         )
+    scale = limit.scale  # extrapolated, below the detector's own thresholds only as far as the log surely shows
+    if not limit.counted:
+        scale = max(scale, min(limit.high, 1.0))
     across = [threshold([part], per_sample).scale for part in parts[::-1]]
 
     tables = {"plant": plant_table(plant)} | learnt_tables(plant, found)
     final = build(acting_plant(learnt_plant(tables, plant), entry), _cut(log, found.settle, len(log.t)))
     digest = {} if entry.learns else {"digest": settings_digest(final)}
-    final = scaled(final, limit.scale, per_sample)
+    final = scaled(final, scale, per_sample)
     late = delays(final, log, found.settle)
     for i, row in enumerate(tables["sensors"].values()):
         row |= {f"delay_{size:g}": float(late.delay[s, i]) for s, size in enumerate(late.sizes)}
-    used = {"name": entry.name, "threshold_scale": limit.scale, "false_alarm": str(rate), "per_sample": per_sample} | digest
+    used = {"name": entry.name, "threshold_scale": scale, "false_alarm": str(rate), "per_sample": per_sample} | digest
     provenance = {
         "healthy": [
             {

@@ -28,7 +28,8 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.rate import Rate
 from fusion_sfdia.core.references import name_of
 from fusion_sfdia.core.saved_detectors import load_detector, save_detector, settings_classes
-from fusion_sfdia.core.signals import SlowNoise
+from fusion_sfdia.core.signals import Sensor
+from fusion_sfdia.core.slow_noise import SlowNoise
 from fusion_sfdia.core.uncertainty import error_of
 from fusion_sfdia.tuning.document import read_document, write_document
 from fusion_sfdia.tuning.response import response, warn_of_change
@@ -42,8 +43,8 @@ COMMENTS = {
     "response: two numbers by which a change of its equations is noticed.",
     "detector": "name: of the detectors of this package; any other is given with --detector, as this file imports no code.\n"
     "threshold_scale is a factor on all thresholds, which healthy readings exceed at the stated rate.",
-    "sensors": "Noise of each sensor, and what the plant states; slow_share: of its variance, with slow_time_constant (s).\n"
-    "delay of a bias of so many sigma (s, see quality).",
+    "sensors": "Noise of each sensor, and what the plant states; resolution: the step of its readings;\n"
+    "slow_share: of its variance, with slow_time_constant (s); delay of a bias of so many sigma (s, see quality).",
     "process_noise": "Factor on the standard deviation that the plant states, of all states of a unit.",
     "parameters": "Estimates with standard deviation, and what the plant states.",
     "disturbance": "A direction of mismatch (state: units of the states; reading: of the sensors): its mean is an offset.\n"
@@ -275,6 +276,7 @@ def learnt_tables(plant: Plant, found: Commissioning) -> dict[str, Any]:
     tables: dict[str, Any] = {}
     tables["sensors"] = {
         s.name: {"sigma": float(sigma), "stated": s.noise_sigma, "unit": s.unit}
+        | ({"resolution": now.resolution} if now.resolution != s.resolution else {})
         | ({} if (slow := now.noise) is None else {"slow_share": slow.share, "slow_time_constant": slow.time_constant})
         for s, now, sigma in zip(plant.sensors, found.plant.sensors, found.plant.sensor_sigma, strict=True)
     }
@@ -321,9 +323,8 @@ def learnt_plant(document: dict[str, Any], plant: Plant) -> Plant:
         groups, table = state_groups(plant), document.get("process_noise", {})
         process = np.array([_positive(f"process noise in {unit}", table.get(unit, 1.0)) for unit in groups]) ** 2
         sigma = np.array([_positive(f"sigma of {n}", document["sensors"][n]["sigma"]) for n in plant.sensor_names])
+        plant = replace(plant, sensors=tuple(_as_learnt(s, document["sensors"][s.name]) for s in plant.sensors))
         plant = with_noise(plant, Noise(groups, process, process, (sigma / plant.sensor_sigma) ** 2, sigma))
-        slow = [_slow_noise(document["sensors"][n]) for n in plant.sensor_names]
-        plant = replace(plant, sensors=tuple(replace(s, noise=n) for s, n in zip(plant.sensors, slow, strict=True)))
         if start := document.get("start"):
             plant = with_start(plant, Start(*(np.array(start[what], dtype=float) for what in ("x0", "variance"))))
     except KeyError as error:
@@ -331,12 +332,12 @@ def learnt_plant(document: dict[str, Any], plant: Plant) -> Plant:
     return plant
 
 
-def _slow_noise(row: dict[str, Any]) -> SlowNoise | None:
-    """The slow noise in the row of a sensor."""
-    given = [row.get(key) for key in ("slow_share", "slow_time_constant")]
-    if given == [None, None]:
-        return None
-    return SlowNoise(*(number(what, value) for what, value in zip(("slow_share", "slow_time_constant"), given, strict=True)))
+def _as_learnt(sensor: Sensor, row: dict[str, Any]) -> Sensor:
+    """A sensor with the resolution and the slow noise in its row."""
+    slow, given = None, [row.get(key) for key in ("slow_share", "slow_time_constant")]
+    if given != [None, None]:
+        slow = SlowNoise(*(number(what, v) for what, v in zip(("slow_share", "slow_time_constant"), given, strict=True)))
+    return replace(sensor, resolution=row.get("resolution", sensor.resolution), noise=slow)
 
 
 def _positive(what: str, value: Any) -> float:

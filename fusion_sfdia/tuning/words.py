@@ -64,6 +64,11 @@ def _learnt(d: dict[str, Any]) -> list[str]:
         if abs((factor := row["sigma"] / row["stated"]) - 1) > CHANGED:
             lines.append(f"noise of {name}: {'quieter' if factor < 1 else 'noisier'} than stated, times {factor:.3g}")
     lines += [
+        f"readings of {name}: in steps of {row['resolution']:.3g} {row['unit']}"
+        for name, row in d["sensors"].items()
+        if "resolution" in row
+    ]
+    lines += [
         f"noise of {name}: {100 * row['slow_share']:.0f} % of it slow, time constant {row['slow_time_constant']:.3g} s"
         for name, row in d["sensors"].items()
         if "slow_share" in row

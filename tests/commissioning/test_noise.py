@@ -13,6 +13,7 @@ from fusion_sfdia.commissioning.noise import (
     PRIOR,
     _moments,
     _noise,
+    in_steps,
     likeliest_noise,
     louder_sensors,
     state_groups,
@@ -33,6 +34,15 @@ def noisy(process: float, louder: int) -> Plant:
 def log_of(plant: Plant, steps: int, runs: int) -> Log:
     t, _, y, u = readings(plant, steps, runs, seed=7)
     return Log(t, y, u)
+
+
+def test_steps_of_readings_are_a_resolution_where_they_are_above_the_noise() -> None:
+    y = log_of(chain(4, process=0.3), 300, 2).y
+    y[..., 1], y[..., 2] = 2 * np.rint(y[..., 1] / 2), 0.5 * np.rint(y[..., 2] / 0.5)
+    found = in_steps(chain(4), y)
+    assert [s.resolution for s in found.sensors] == [0, pytest.approx(2, rel=1e-12), 0, 0]
+    stated = replace(chain(4), sensors=tuple(replace(s, resolution=3.0) for s in chain(4).sensors))
+    assert in_steps(stated, y).sensors == stated.sensors
 
 
 def test_moments_are_the_derivative_of_the_likelihood() -> None:

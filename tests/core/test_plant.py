@@ -16,7 +16,8 @@ from fusion_sfdia.core.equation import complex_step_jacobian
 from fusion_sfdia.core.linear import linear_plant
 from fusion_sfdia.core.physics import Physics
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.signals import Sensor, Signal, SlowNoise
+from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.core.slow_noise import SlowNoise
 from fusion_sfdia.core.uncertainty import Disturbance, Parameter, secants
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 
@@ -42,27 +43,6 @@ def test_a_nominal_value_is_within_its_limits(limits: dict[str, float], text: st
 def test_a_sensor_states_positive_finite_noise(what: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"sensor 's': {what} is {value}; it must be positive and finite"):
         Sensor("s", "x", **{what: value})
-
-
-@pytest.mark.parametrize(
-    ("share", "time_constant", "message"),
-    [
-        (1.0, 60.0, "share is 1.0; it must be at least 0 and below 1, a share of the variance"),
-        (-0.1, 60.0, "share is -0.1"),
-        (NAN, 60.0, "share is nan"),
-        ("half", 60.0, "share is 'half'"),
-        (0.5, 0.0, "time_constant is 0.0; it must be positive and finite, in seconds"),
-        (0.5, INF, "time_constant is inf"),
-    ],
-)
-def test_slow_noise_has_a_share_and_a_time_constant(share: Any, time_constant: float, message: str) -> None:
-    with pytest.raises(ValueError, match=f"slow noise: {message}"):
-        SlowNoise(share, time_constant)
-
-
-def test_noise_that_is_no_slow_noise_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"sensor 's': noise is 0\.5; expected SlowNoise\(share=\.\., time_constant=\.\.\)"):
-        Sensor("s", "x", sigma=1.0, noise=0.5)  # type: ignore[arg-type]
 
 
 def test_the_slow_noise_of_a_plant_is_in_samples() -> None:

@@ -12,7 +12,8 @@ from scipy.special import ndtr, ndtri
 from toy_plants import chain
 
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.signals import Sensor, SlowNoise
+from fusion_sfdia.core.signals import Sensor
+from fusion_sfdia.core.slow_noise import SlowNoise
 from fusion_sfdia.evaluation.hindsight_steps import Hindsight
 from fusion_sfdia.evaluation.model_health import Health, health_of, limit_of
 

@@ -12,7 +12,8 @@ from toy_plants import chain, changed, tanks
 from fusion_sfdia.core.linear import linear_plant
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import require_seeds, stream
-from fusion_sfdia.core.signals import Sensor, Signal, SlowNoise
+from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.core.slow_noise import SlowNoise
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.models.gas_pipeline.plant import coarse_state, gas_pipeline
 from fusion_sfdia.models.power_network.plant import power_network
@@ -252,7 +253,7 @@ def test_noise_of_the_truths_sensors_is_what_is_added():
 
 
 def test_a_finer_truth_is_read_by_the_plants_sensors():
-    plant = tanks()
+    plant = replace(tanks(), sensors=tuple(replace(s, bound=None) for s in tanks().sensors))
     louder = replace(plant, sensors=tuple(replace(s, sigma=3 * s.sigma) for s in plant.sensors))
     ours, theirs = simulate(plant, 30, [4]), simulate(louder, 30, [4])
     np.testing.assert_array_equal(theirs.signal, ours.signal)

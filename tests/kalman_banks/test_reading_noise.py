@@ -13,6 +13,7 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 from scipy.stats import chi2, norm
 
+from fusion_sfdia.core.slow_noise import inflation_of as inflation_of_share
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, statistics
 from fusion_sfdia.kalman_banks.reading_noise import (
     BLOCK,
@@ -26,13 +27,12 @@ from fusion_sfdia.kalman_banks.reading_noise import (
     is_larger,
     learnt,
     nothing_shown,
-    stated_inflation,
     unclipped,
 )
 
 Array = NDArray[Any]
 RUNS = 200
-WHITE = (np.zeros(5), np.zeros(5))  # no slow part
+WHITE = np.ones((100, 5))  # no sensor states slow noise
 # the slope of P(e^2 > m exp(d)) - P(e^2 < m exp(d)) at d = 0, where m is the median of chi-square
 MEDIAN = float(chi2.median(1))
 SLOPE = 2 * MEDIAN * float(chi2.pdf(MEDIAN, 1))
@@ -172,16 +172,14 @@ def test_sums_vary_at_least_as_slow_noise_that_is_stated() -> None:
     """All together by its mean, and each sensor by its own; a sensor that shows more counts as it shows itself."""
     age, white = np.array([[1.0, 5.0, 30.0]]), mean_of_cut(1.0)
     now = nothing_shown((1,), 3)._replace(own=white * np.array([[1.0, 1.0, 0.2]]), every=np.array([white * 0.9]))
-    slow = (np.array([0.5, 0.0, 0.0]), np.array([0.98, 0.0, 0.0]))
-    of_slow = np.array([1 + 0.5 * (variance_of_sum(int(n), 0.98) - 1) for n in age[0]])
+    stated = inflation_of_share(np.maximum(np.arange(31.0), 1)[:, None], np.array([0.5, 0, 0]), np.array([0.98, 0, 0]))
+    of_slow = stated[[1, 5, 30], 0]
     shown, alone = (np.array([variance_of_sum(int(n), q) for n in age[0]]) for q in (0.1, 0.8))
-    found = inflation_of(now, age, slow)
+    found = inflation_of(now, age, stated)
     near = 1e-5  # of the integral
     np.testing.assert_allclose(found.common[0], np.maximum(shown, (of_slow + 2) / 3), rtol=near)
     np.testing.assert_allclose(found.own[0, :, 0], np.maximum(of_slow, shown), rtol=near)
     np.testing.assert_allclose(found.own[0, :, 2], alone, rtol=near)
-    np.testing.assert_allclose(stated_inflation(30, slow), [of_slow[2], 1, 1], rtol=rounding(1 / 0.02**2, 100))
-    assert stated_inflation(np.inf, slow)[0] == pytest.approx(0.5 + 0.5 * 1.98 / 0.02)
 
 
 def test_correlations_are_believed_from_white_to_nearly_constant() -> None:

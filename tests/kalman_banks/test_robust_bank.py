@@ -18,7 +18,7 @@ from fusion_sfdia.core.augment import augment
 from fusion_sfdia.core.detector import Decision, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.saved_detectors import load_detector, save_detector
-from fusion_sfdia.core.signals import SlowNoise
+from fusion_sfdia.core.slow_noise import SlowNoise
 from fusion_sfdia.core.storage import load_state, save_state
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.kalman_banks import reading_noise, robust_bank, robust_memory

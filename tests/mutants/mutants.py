@@ -489,10 +489,10 @@ MUTANTS = (
         "tests/kalman_banks/test_reading_noise.py::test_the_correlation_is_that_of_the_noise_in_cut_differences",
     ),
     Mutant(
-        "fusion_sfdia/kalman_banks/reading_noise.py",
+        "fusion_sfdia/core/slow_noise.py",
         "- 2 * q * (1 - q**n)",
         "+ 2 * q * (1 - q**n)",
-        "tests/kalman_banks/test_reading_noise.py::test_before_any_reading_noise_is_supposed_to_be_correlated_by_four_fifths",
+        "tests/core/test_slow_noise.py::test_sums_vary_as_the_correlations_of_their_samples_say",
     ),
     Mutant(
         "fusion_sfdia/kalman_banks/reading_noise.py",
@@ -502,8 +502,8 @@ MUTANTS = (
     ),
     Mutant(
         "fusion_sfdia/kalman_banks/reading_noise.py",
-        "else shared) * spread[r, i]",
-        "else shared)",
+        "max(alone, least[i]) * spread[r, i]",
+        "max(alone, least[i])",
         "tests/kalman_banks/test_reading_noise.py::test_sums_vary_as_those_of_noise_with_its_size_and_correlation",
     ),
     Mutant(
@@ -772,5 +772,35 @@ MUTANTS = (
         "spread = 1.96 *",
         "spread = 0.196 *",
         "tests/tuning/test_tail.py::test_a_rate_that_the_log_holds_is_counted",
+    ),
+    Mutant(
+        "fusion_sfdia/core/slow_noise.py",
+        "1 + share * (inflation(n, q) - 1)",
+        "inflation(n, q)",
+        "tests/core/test_slow_noise.py::test_sums_vary_as_the_correlations_of_their_samples_say",
+    ),
+    Mutant(
+        "fusion_sfdia/evaluation/model_health.py",
+        "np.log(limit * usual[i])",
+        "np.log(limit)",
+        "tests/evaluation/test_model_health.py::test_slow_noise_that_is_stated_fits",
+    ),
+    Mutant(
+        "fusion_sfdia/commissioning/slow_noise.py",
+        "np.min(deviance)) > RATIO",
+        "np.min(deviance)) > 0",
+        "tests/commissioning/test_learnt_slow_noise.py::test_white_noise_shows_none",
+    ),
+    Mutant(
+        "fusion_sfdia/tuning/spikes.py",
+        "plant.sensor_resolution > 0, 1.0,",
+        "plant.sensor_resolution > 0, 0.0,",
+        "tests/tuning/test_tune.py::test_coarse_readings_are_learnt_as_such",
+    ),
+    Mutant(
+        "fusion_sfdia/tuning/tune.py",
+        "scale = max(scale, min(limit.high, 1.0))",
+        "scale = min(scale, 1.0)",
+        "tests/tuning/test_tune.py::test_a_rate_that_the_log_cannot_count_is_extrapolated_and_stated",
     ),
 )

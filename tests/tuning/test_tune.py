@@ -21,7 +21,8 @@ from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.rate import Rate
-from fusion_sfdia.core.signals import Signal, SlowNoise
+from fusion_sfdia.core.signals import Signal
+from fusion_sfdia.core.slow_noise import SlowNoise
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.tuning.response import ModelChangedWarning
 from fusion_sfdia.tuning.tail import counted
@@ -69,7 +70,7 @@ def test_the_noise_of_each_sensor_is_found() -> None:
 @pytest.mark.slow
 def test_slow_noise_is_learnt_and_kept_in_the_file(tmp_path: Path) -> None:
     """White logs show none; the noise is stated in the text, and written and read as it is."""
-    slow = replace(PLANT.sensors[1], noise=SlowNoise(0.6, 15.0))
+    slow = replace(PLANT.sensors[1], noise=SlowNoise(0.9, 4.0))
     plant = replace(PLANT, sensors=(PLANT.sensors[0], slow, *PLANT.sensors[2:]))
     log = simulate(plant, STEPS, range(RUNS), process_noise=True)
     found = tune(PLANT, log, false_alarm=RATE, detector="loo-glr")
@@ -79,6 +80,22 @@ def test_slow_noise_is_learnt_and_kept_in_the_file(tmp_path: Path) -> None:
     assert kept == [s.noise for s in found.plant(PLANT).sensors]
     assert re.search(r"^  noise of s1: \d+ % of it slow, time constant \S+ s$", as_text(found), re.MULTILINE)
     assert all(s.noise is None for s in tuned().plant(PLANT).sensors)
+
+
+@pytest.mark.slow
+def test_coarse_readings_are_learnt_as_such(tmp_path: Path) -> None:
+    """In steps of three sigma most readings are equal: a step is no spike, and equal readings are not frozen."""
+    t, _, y, u = readings(PLANT, STEPS, RUNS, seed=5)
+    y[..., 2] = 3.0 * np.rint(y[..., 2] / 3.0)
+    found = tune(PLANT, Log(t, y, u), false_alarm=RATE, detector="loo-glr")
+    found.write(tmp_path / "tuned.toml")
+    assert re.search(r"^  readings of s2: in steps of 3 ", as_text(found), re.MULTILINE)
+    for plant in (found.plant(PLANT), Tuned.read(tmp_path / "tuned.toml").plant(PLANT)):
+        assert [s.resolution for s in plant.sensors] == [0, 0, pytest.approx(3.0, rel=1e-9), 0]
+        assert plant.sensor_sigma[2] > 3.0 / np.sqrt(12)
+    y[200, 1, 2] += 30.0
+    with pytest.raises(ValueError, match="'s2' contradicts all others"):
+        tune(PLANT, Log(t, y, u), false_alarm=RATE, detector="loo-glr")
 
 
 @pytest.mark.slow
@@ -198,6 +215,8 @@ def test_a_rate_that_the_log_cannot_count_is_extrapolated_and_stated() -> None:
     assert found.quality["expected_above"] < 1 and "Pareto" in found.quality["threshold"]
     assert "cannot be counted on so short a log" in as_text(found)
     assert found.threshold_scale > tuned().quality["threshold_interval"][1]
+    low, high = found.quality["threshold_interval"]
+    assert low < found.threshold_scale == 1.0 < high  # lower than the detector's own is not sure
 
 
 JUNK = (

@@ -12,8 +12,7 @@ from scipy.stats import binom
 from toy_plants import chain
 
 from fusion_sfdia.commissioning.slow_noise import LEAST, slow_noise, with_slow_noise
-from fusion_sfdia.core.signals import SlowNoise
-from fusion_sfdia.kalman_banks.reading_noise import stated_inflation
+from fusion_sfdia.core.slow_noise import SlowNoise, inflation_of
 
 DT = 10.0
 
@@ -42,9 +41,8 @@ def test_sums_vary_as_much_as_those_of_the_slow_noise_that_is_found(share: float
     for _ in range(40):
         one = slow_noise(innovations(rng, 800, 4, share, samples), DT)
         assert one is not None
-        slow = np.array([one.share]), np.exp([-DT / one.time_constant])
-        found.append([stated_inflation(n, slow)[0] for n in (30, 120)])
-    true = [stated_inflation(n, (np.array([share]), np.exp([-1 / samples])))[0] for n in (30, 120)]
+        found.append([inflation_of(n, one.share, np.exp(-DT / one.time_constant)) for n in (30, 120)])
+    true = [inflation_of(n, share, np.exp(-1 / samples)) for n in (30, 120)]
     logs = np.log(np.array(found) / true)
     assert (np.abs(logs.mean(axis=0)) < 4 * logs.std(axis=0) / np.sqrt(40) + 0.1).all()
 
