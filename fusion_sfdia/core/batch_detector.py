@@ -159,13 +159,15 @@ class BatchDetector(ABC):
             diverged, far, memory = diverged[None], far[None], as_batch(memory)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             after, decision = self._judge(memory, now, y, u)
-            off = (far_off(decision, self.threshold_scale) | decision.diverged) & self.estimates & (far >= 0)
+            all_far = far_off(decision, self.threshold_scale)
+            off = (all_far | decision.diverged) & self.estimates & (far >= 0)
             if (held := off & (far < HELD)).any():
                 without, expected = self._judge(memory, now, np.where(held[..., None], np.nan, y), u)
                 off = off & (~held | self._all_far(decision, expected, y))
                 held = held & off
                 after, decision = of_runs(held, without, after), without_readings(held, decision, expected)
-        near = judged(decision) & ~far_off(decision, self.threshold_scale) & self.estimates
+                all_far = far_off(decision, self.threshold_scale)
+        near = judged(decision) & ~all_far & self.estimates
         far = np.where(off, far + 1, np.where(near, 0, far))
         capped = decision.capped
         if capped.shape != diverged.shape:

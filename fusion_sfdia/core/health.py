@@ -50,6 +50,10 @@ def keep_broken_out(diverged: Array, memory: Any, fresh: Any) -> Any:
 
 def of_runs(where: Array, one: Any, other: Any) -> Any:
     """Of two tuples of arrays (*batch, ..), those of `one` in the runs `where` (*batch) holds, else those of `other`."""
+    if where.all():
+        return one
+    if not where.any():
+        return other
 
     def chosen(a: Array, b: Array) -> Array:
         return a if a is b else np.where(where.reshape(where.shape + (1,) * (a.ndim - where.ndim)), a, b)

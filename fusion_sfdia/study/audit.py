@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from fusion_sfdia.core.detector import Decision, Detector, of_run
 from fusion_sfdia.core.gaps import Gap, Track, bridged
+from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.diagnose import DiagnosisWarning, concluded, decided, diagnose_run
 from fusion_sfdia.evaluation.events import Event
 from fusion_sfdia.evaluation.lag import explained_by_lag
@@ -74,15 +75,18 @@ class CaseResult(NamedTuple):
         return not self.shares["false"].value > SURVIVED
 
 
-def outcomes(detector: Detector, case: Case, seeds: Sequence[int], steps: int = STEPS) -> tuple[list[Outcome], str]:
+def outcomes(
+    detector: Detector, case: Case, seeds: Sequence[int], steps: int = STEPS, plant: Plant | None = None
+) -> tuple[list[Outcome], str]:
     """Diagnose the trials of a case: the detector steps through all of them at once, then each is judged on its own.
 
     The trials have the same times. A trial whose truth leaves the limits of the plant is left out, and the text says why.
+    plant: of which the trials are, where it is not the detector's, which may be tuned to it.
     """
     trials, why = [], ""
     for seed in seeds:
         try:
-            trials.append(trial(detector.plant, case, seed, steps))
+            trials.append(trial(plant or detector.plant, case, seed, steps))
         except ArithmeticError as error:
             why = str(error)
     if not trials:
