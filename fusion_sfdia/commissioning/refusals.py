@@ -18,6 +18,7 @@ At = Callable[[int, int], str]  # the time of sample k of run b in words
 
 REFUSED = 1e-4  # probability that a healthy log is refused by each of the tests
 LARGE = 3.0  # sigma: a smaller constant bias is a matter of calibration, which is learnt
+CLUSTERED = 4  # lengths of runs of equal readings, one over another
 LEAST_WINDOWS = 4  # two for each half of the log
 
 
@@ -50,8 +51,9 @@ def require_readings(plant: Plant, log: Log) -> None:
 def require_moving(plant: Plant, log: Log, at: At) -> None:
     """Raise ValueError for a sensor that repeats a reading too often to be alive.
 
-    Of M readings of which a share q repeats the one before, a run of L repeats has a probability of at most M q^L; q counts
-    the sensor's repeats but those of its longest run, and one more.
+    Of M readings of which a share q repeats the one before, a run of L repeats has a probability of at most M q^L where they
+    come independently; q counts the sensor's repeats but those of its longest run, and one more. What coarse readings repeat
+    depends on where in a step the variable is: a frozen one also repeats `CLUSTERED` times as often as in any other run.
     """
     y = log.y
     for i, sensor in enumerate(plant.sensors):
@@ -60,8 +62,9 @@ def require_moving(plant: Plant, log: Log, at: At) -> None:
         run = steps - np.maximum.accumulate(np.where(same, -1, steps), axis=0)
         end, of = (int(j) for j in np.unravel_index(int(np.argmax(run)), run.shape))
         most, many = int(run[end, of]), same.size
+        others = np.where((steps > end - most) & (steps <= end) & (np.arange(same.shape[1]) == of), 0, run)
         share = (np.sum(same) - most + 1) / (many - most + 1)
-        if most > 1 and many * share**most < REFUSED:
+        if most > max(1, CLUSTERED * int(np.max(others))) and many * share**most < REFUSED:
             raise ValueError(
                 f"sensor {sensor.name!r} shows the same reading {most + 1} times in a row in the healthy log, until "
                 f"{at(end + 1, of)}: it is frozen; repair it, or leave these readings out (NaN)"

@@ -8,9 +8,11 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from fusion_sfdia.commissioning.commission import commission, commissioned
 from fusion_sfdia.commissioning.disturbances import Found, with_disturbance
+from fusion_sfdia.commissioning.refusals import require_moving
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.uncertainty import Parameter, Uncertainty, secants
@@ -100,6 +102,21 @@ def test_a_frozen_sensor_is_refused() -> None:
         ValueError, match=r"'q12' shows the same reading 20 times in a row .*, until \d+ s of run 0: it is frozen"
     ):
         commission(bare(), log._replace(y=y))
+
+
+def test_equal_readings_of_a_coarse_sensor_are_frozen_only_where_they_are_four_times_as_many_as_otherwise() -> None:
+    """A variable that moves slowly, between two steps and then in the middle of one, where its readings repeat."""
+    plant, t = bare(), 5.0 * np.arange(1, 601)
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        slow = lfilter([0.08], [1.0, -0.98], rng.standard_normal(600))
+        y = rng.standard_normal((600, 1, 4))
+        y[:, 0, 0] = np.rint(0.5 + slow + 0.2 * y[:, 0, 0])
+        require_moving(plant, Log(t, y, np.zeros((600, 1, 1))), "{} of {}".format)
+        longest = int(np.diff(np.flatnonzero(np.diff(y[:, 0, 0]) != 0)).max())
+        y[100 : 102 + 5 * longest, 0, 0] = y[100, 0, 0]
+        with pytest.raises(ValueError, match="it is frozen"):
+            require_moving(plant, Log(t, y, np.zeros((600, 1, 1))), "{} of {}".format)
 
 
 def test_a_log_that_is_too_short_is_refused() -> None:
