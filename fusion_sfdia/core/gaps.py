@@ -134,11 +134,20 @@ def bridged(plant: Plant, log: Log) -> tuple[Track, tuple[Gap, ...]]:
             raise ValueError(f"reading {k + 1}, {t[k]:.10g} s, is {gaps[k]:.10g} s after the one before: {error}") from error
     if np.all(parts == 1):
         return Track(t, y, u, np.ones(t.size, bool), np.where(fresh, t - gaps, np.nan)), reported
-    last, which = np.cumsum(parts.astype(int)) - 1, np.repeat(np.arange(t.size), parts.astype(int))
+    filled, own = with_rows(log, gaps, parts.astype(int))
+    begins = np.full(own.size, np.nan)
+    begins[np.flatnonzero(own)[fresh]] = (t - gaps)[fresh]
+    return Track(*filled, own, begins), reported
+
+
+def with_rows(log: Log, gaps: Array, parts: Array) -> tuple[Log, Array]:
+    """A log of one run with rows in its gaps (K,), each before its row: as many equal steps as `parts` (K,) states, without
+    readings, under inputs interpolated between those before and after. Also which of the rows (S,) are the log's own.
+    """
+    t, y, u = log
+    last, which = np.cumsum(parts) - 1, np.repeat(np.arange(t.size), parts)
     ahead = last[which] - np.arange(which.size)  # steps of the gap that are still to come
     times = t[which] - ahead * (gaps / parts)[which]
     share = (ahead / parts[which])[:, None]  # 0 at a reading
     inputs = between(np.concatenate([u[:1], u[:-1]])[which], u[which], share)
-    begins = np.full(which.size, np.nan)
-    begins[last[fresh]] = (t - gaps)[fresh]
-    return Track(times, np.where(share == 0, y[which], np.nan), inputs, ahead == 0, begins), reported
+    return Log(times, np.where(share == 0, y[which], np.nan), inputs), ahead == 0

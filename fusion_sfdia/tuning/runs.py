@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.gaps import parted, stated_step
+from fusion_sfdia.core.gaps import parted, stated_step, with_rows
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 
@@ -16,6 +16,8 @@ Array = NDArray[Any]
 
 EVEN = 0.01  # of dt: times of runs side by side may differ by so much
 LEAST = 40  # samples of a run
+LONG = 60  # usual steps: a run ends at a longer gap
+SKIPPED = 1.5  # steps: rows are missing in a longer gap
 
 
 class EvenRuns(NamedTuple):
@@ -27,7 +29,7 @@ class EvenRuns(NamedTuple):
 
 
 def as_even_runs(plant: Plant, logs: Sequence[Log]) -> EvenRuns:
-    """The logs of one run each, cut at gaps, as one Log of runs of the length at which most samples are used.
+    """The logs of one run each, cut at long gaps, as one Log of runs of the length at which most samples are used.
 
     The runs take the times of the first: a model's dependence on the time of day is lost. Unevenly sampled stretches cannot
     stand side by side; the longest is then used alone. ValueError where no stretch is long enough.
@@ -35,8 +37,7 @@ def as_even_runs(plant: Plant, logs: Sequence[Log]) -> EvenRuns:
     whole = [(i, part) for i, log in enumerate(logs) for part in _without_gaps(plant, log) if len(part.t) >= LEAST]
     if not whole:
         raise ValueError(
-            f"no stretch of {LEAST} samples without a gap in the healthy logs; plant {plant.name!r} steps over "
-            f"{stated_step(plant):g} s at most: give longer logs, or a plant with another max_dt"
+            f"no stretch of {LEAST} samples without a gap of more than {LONG} in the healthy logs: give longer logs"
         )
     alone, longest = max(whole, key=lambda part: len(part[1].t))
     even = [(i, p) for i, p in whole if np.max(np.abs(np.diff(p.t) - plant.dt)) <= EVEN * plant.dt]
@@ -51,6 +52,17 @@ def as_even_runs(plant: Plant, logs: Sequence[Log]) -> EvenRuns:
 
 
 def _without_gaps(plant: Plant, log: Log) -> list[Log]:
-    """The stretches between gaps that are too long for a step of the plant, or twice as long as usual."""
-    most = min(stated_step(plant) * (1 + 1e-9), 2 * float(np.median(np.diff(log.t))) if len(log.t) > 1 else np.inf)
-    return parted(log, np.diff(log.t) > most)
+    """The stretches between gaps of more than `LONG` usual steps, with rows without readings in their shorter gaps.
+
+    These are as far apart as the log's own usually are, or, where the plant steps over less, as its dt.
+    """
+    if len(log.t) < 2:
+        return [log]
+    usual = float(np.median(np.diff(log.t)))
+    step = usual if usual <= stated_step(plant) * (1 + 1e-9) else plant.dt
+    found = []
+    for part in parted(log, np.diff(log.t) > LONG * usual):
+        gaps = np.diff(part.t, prepend=part.t[0] - step)
+        parts = np.where(gaps > SKIPPED * step, np.rint(gaps / step), 1).astype(int)
+        found.append(part if np.all(parts == 1) else with_rows(part, gaps, parts)[0])
+    return found

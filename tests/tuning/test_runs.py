@@ -46,6 +46,25 @@ def test_an_unevenly_sampled_log_stands_alone() -> None:
 
 
 def test_a_log_of_gaps_is_refused() -> None:
-    plant = changed(PLANT, max_dt=1.0)
-    with pytest.raises(ValueError, match="no stretch of 40 samples without a gap"):
-        as_even_runs(plant, [log(200, dt=2.0)])
+    t = np.concatenate([first + np.arange(30.0) for first in 200.0 * np.arange(8)])
+    with pytest.raises(ValueError, match="no stretch of 40 samples without a gap of more than 60"):
+        as_even_runs(PLANT, [Log(t, np.stack([t, -t], axis=1), np.empty((240, 0)))])
+
+
+@pytest.mark.parametrize("fixed_dt", [True, False])
+def test_skipped_rows_are_rows_without_readings(fixed_dt: bool) -> None:
+    """A logger that drops a tenth of its rows, up to a minute in a row; a longer gap parts the log."""
+    kept = np.random.default_rng(1).random(800) > 0.1
+    kept[300:355], kept[[0, 400, 500, 799]] = False, True
+    whole = log(800)
+    found = as_even_runs(changed(PLANT, fixed_dt=fixed_dt), [Log(*(a[kept] for a in whole))]).log
+    np.testing.assert_allclose(found.t, whole.t, rtol=1e-12)
+    np.testing.assert_array_equal(found.y[:, 0], np.where(kept[:, None], whole.y, np.nan))
+    kept[401:500] = False
+    parts = as_even_runs(changed(PLANT, fixed_dt=fixed_dt), [Log(*(a[kept] for a in whole))])
+    assert parts.log.y.shape[0] in (300, 400) and np.isnan(parts.log.y).any()
+
+
+def test_a_log_slower_than_the_plant_steps_has_rows_without_readings() -> None:
+    found = as_even_runs(changed(PLANT, max_dt=1.0), [log(200, dt=2.0)]).log
+    assert np.diff(found.t) == pytest.approx(1.0) and np.isnan(found.y[1::2]).all() and np.isfinite(found.y[::2]).all()
