@@ -14,6 +14,8 @@ from fusion_sfdia.core.plant import Plant
 Array = NDArray[Any]
 
 MOST_BRIDGES = 10_000  # steps in a gap: a day's outage in steps of 10 s; and in all gaps, in addition to ten for each reading
+LONG = 60  # steps: what is learnt from a log is learnt from each side of a longer gap by itself
+SKIPPED = 1.5  # steps: rows are missing in a longer gap
 REPORTED = 2.0  # times the median distance of readings: a shorter gap is uneven sampling
 
 
@@ -138,6 +140,19 @@ def bridged(plant: Plant, log: Log) -> tuple[Track, tuple[Gap, ...]]:
     begins = np.full(own.size, np.nan)
     begins[np.flatnonzero(own)[fresh]] = (t - gaps)[fresh]
     return Track(*filled, own, begins), reported
+
+
+def stretches(log: Log, step: float) -> list[Log]:
+    """The stretches of a log of one run between gaps of more than `LONG` steps (s), with rows without readings in shorter ones,
+    about a step apart.
+    """
+    gaps = np.diff(log.t, prepend=log.t[0] - step)
+    parts = np.where(gaps > SKIPPED * step, np.rint(gaps / step), 1).astype(int)
+    breaks = parts[1:] > LONG
+    parts[1:][breaks] = 1
+    ends = np.flatnonzero(breaks) + 1
+    each = zip(parted(log, breaks), np.split(gaps, ends), np.split(parts, ends), strict=True)
+    return [part if np.all(steps == 1) else with_rows(part, before, steps)[0] for part, before, steps in each]
 
 
 def with_rows(log: Log, gaps: Array, parts: Array) -> tuple[Log, Array]:

@@ -1,4 +1,4 @@
-"""Several healthy logs for identification: cut at gaps, checked, in units of each signal's standard deviation."""
+"""Several healthy logs for identification: cut at long gaps, checked, in units of each signal's standard deviation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import floats, require_unique
-from fusion_sfdia.core.gaps import parted
+from fusion_sfdia.core.gaps import parted, stretches
 from fusion_sfdia.core.log import Log, one_run
 from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.identification.recording import Scaled
@@ -23,7 +23,7 @@ BETWEEN = 30  # missing samples between runs that are joined: a filter forgets t
 
 
 class Runs(NamedTuple):
-    """Runs without gaps. logs: t (K,), y (K, N) with NaN where missing, u (K, m); of: the log that each was cut from; dt in s.
+    """Runs of even steps. logs: t (K,), y (K, N) with NaN where missing, u (K, m); of: the log that each was cut from; dt in s.
 
     moves (N,): whether a sensor has at least two different readings. mean and standard deviation of y (N,) and u (m,), the
     latter 1 where a signal never moves.
@@ -58,9 +58,10 @@ class Runs(NamedTuple):
 
 
 def runs_of(sensors: Sequence[Signal], inputs: Sequence[Signal], logs: Sequence[Log]) -> Runs:
-    """Return healthy logs of these sensors and inputs as runs without gaps; ValueError where they do not fit.
+    """Return healthy logs of these sensors and inputs as runs of even steps; ValueError where they do not fit.
 
-    A step that differs from the median by more than JITTER begins a new run, as does an input that is not known.
+    Rows that are skipped are rows without readings; a long gap begins a new run, as do a step that differs from the median by
+    more than JITTER and an input that is not known.
     """
     require_unique("signals of a log", [s.name for s in (*sensors, *inputs)])
     if not logs:
@@ -107,10 +108,13 @@ def _checked(k: int, log: Log, count: int, inputs: int) -> Log:
 
 
 def _parts(log: Log, dt: float) -> list[Log]:
-    """The stretches of even steps and known inputs of at least two samples."""
-    known = np.asarray(np.isfinite(log.u).all(axis=1))
-    even = np.asarray(np.abs(np.diff(log.t) / dt - 1) <= JITTER)
-    return [part for part in parted(log, ~even | ~known[1:] | ~known[:-1]) if len(part.t) > 1]
+    """The stretches of even steps and known inputs of at least two samples, with rows without readings for skipped ones."""
+    found = []
+    for part in stretches(log, dt):
+        known = np.asarray(np.isfinite(part.u).all(axis=1))
+        even = np.asarray(np.abs(np.diff(part.t) / dt - 1) <= JITTER)
+        found += [p for p in parted(part, ~even | ~known[1:] | ~known[:-1]) if len(p.t) > 1]
+    return found
 
 
 def groups_of(runs: Runs, folds: int) -> tuple[str, list[list[Log]]]:

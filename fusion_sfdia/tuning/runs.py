@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.gaps import parted, stated_step, with_rows
+from fusion_sfdia.core.gaps import LONG, stated_step, stretches
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 
@@ -16,8 +16,6 @@ Array = NDArray[Any]
 
 EVEN = 0.01  # of dt: times of runs side by side may differ by so much
 LEAST = 40  # samples of a run
-LONG = 60  # usual steps: a run ends at a longer gap
-SKIPPED = 1.5  # steps: rows are missing in a longer gap
 
 
 class EvenRuns(NamedTuple):
@@ -52,17 +50,10 @@ def as_even_runs(plant: Plant, logs: Sequence[Log]) -> EvenRuns:
 
 
 def _without_gaps(plant: Plant, log: Log) -> list[Log]:
-    """The stretches between gaps of more than `LONG` usual steps, with rows without readings in their shorter gaps.
-
-    These are as far apart as the log's own usually are, or, where the plant steps over less, as its dt.
+    """The stretches between long gaps, with rows as far apart as the log's usually are, or, where the plant steps over less, as
+    its dt.
     """
     if len(log.t) < 2:
         return [log]
     usual = float(np.median(np.diff(log.t)))
-    step = usual if usual <= stated_step(plant) * (1 + 1e-9) else plant.dt
-    found = []
-    for part in parted(log, np.diff(log.t) > LONG * usual):
-        gaps = np.diff(part.t, prepend=part.t[0] - step)
-        parts = np.where(gaps > SKIPPED * step, np.rint(gaps / step), 1).astype(int)
-        found.append(part if np.all(parts == 1) else with_rows(part, gaps, parts)[0])
-    return found
+    return stretches(log, usual if usual <= stated_step(plant) * (1 + 1e-9) else plant.dt)

@@ -101,6 +101,17 @@ def test_gaps_and_unknown_inputs_begin_a_new_run_and_missing_readings_do_not() -
     assert np.isfinite(chosen(with_gaps, candidates=TRIED[1:2]).scores[0].log_likelihood)
 
 
+def test_skipped_rows_are_rows_without_readings() -> None:
+    kept = np.random.default_rng(3).random(STEPS) > 0.2
+    kept[[0, -1]] = True
+    whole = of_factor(5)
+    found = runs_of(SENSORS, [LOAD], [Log(*(a[kept] for a in whole))])
+    (run,) = found.logs
+    np.testing.assert_allclose(run.t, whole.t, rtol=1e-12)
+    np.testing.assert_array_equal(run.y, np.where(kept[:, None], whole.y, np.nan))
+    assert np.isfinite(run.u).all()
+
+
 def test_parts_of_one_log_are_left_out_together_and_of_few_logs_stretches() -> None:
     t, y, u = of_factor(3, 100)
     broken = Log(t + np.where(np.arange(100) >= 40, 1000.0, 0.0), y, u)
