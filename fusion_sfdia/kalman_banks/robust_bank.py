@@ -5,9 +5,11 @@ The central filter estimates what the plant declares as unknown (`core.augment`)
 
 - A sensor is isolated by the windows, or by the present sample twice in a row, where it explains the readings better than any
   difference of the plant, by a margin. What it has done to the estimate is removed.
-- A process hypothesis is accepted in the same way. The estimate is moved to it, with its uncertainty, and the windows restart.
-  While the hypothesis stands a sensor needs the larger margin, and soon after it was accepted the lead in `PERSISTENT` samples
-  in a row. While it leaves readings of several sensors unexplained, none is isolated.
+- A process hypothesis is accepted in the same way; where the estimate follows single sensors, in two samples in a row unless it
+  explains several far readings: one outlier that it has followed looks as a change of the plant in the next. The estimate is
+  moved to the hypothesis, with its uncertainty, and the windows restart. While it stands a sensor needs the larger margin, and
+  soon after it was accepted the lead in `PERSISTENT` samples in a row. While it leaves readings of several sensors unexplained,
+  none is isolated.
 - What readings show of their noise, its size, correlation and outliers, scales all evidence (`reading_noise`); parameters that
   keep moving to one side are allowed to (`parameter_walk`).
 - Where something is uncertain, the first `START` samples give no verdict.
@@ -102,7 +104,8 @@ QUIET_SHARE = 0.1  # of the false alarms, for readings that are too quiet
 LATELY = 15  # samples after a process hypothesis was accepted, in which what changed may turn out to be more
 PERSISTENT = 3  # samples in a row that isolate a sensor then
 TWICE = 2  # samples in a row that isolate a sensor by themselves at other times: one may be an outlier
-BRIEF = 2  # samples since the onset of what may have been an outlier
+BRIEF, FOLLOWED_FOR = 2, 8  # samples since the onset of what may have been an outlier, or one that the estimate has followed
+FOLLOWED = 0.2  # least share of an innovation that the estimate follows, for a single outlier to move it visibly
 USUAL_SQUARE = 6.6  # chi-square below which a reading is as expected (0.99)
 START = 32  # samples without a verdict where something is uncertain
 LEARNT_AGAIN = (8, 16)  # samples before which what is uncertain gets its prior spread again, linearised at a better estimate
@@ -199,7 +202,7 @@ class RobustBank(ExcludingBank):
         return used._replace(out_for=out_for, led=led, pairs=pairs)
 
     def _judge(self, memory: RobustMemory, now: TimeStep, y: Array, u: Array) -> tuple[RobustMemory, Decision]:
-        estimate, exclusion, out_for, led, *windows, last, standing, pairs, nis, noise, walk, look = memory
+        estimate, exclusion, out_for, led, usual, proposed, *windows, last, standing, pairs, nis, noise, walk, look = memory
         of, count = self._hypotheses, y.shape[-1]
         stands = np.asarray(standing.accepted.any(axis=-1))
         begins = of.added > 0 and now.k <= START  # no verdict before what is uncertain has been learnt
@@ -240,16 +243,20 @@ class RobustBank(ExcludingBank):
             present = Present(tested.recent.changes(slice(0, 1), count)[..., 0, :, :], of.recent_sizes, handicap)
             isolated, capped = eliminated(everything, of_whole, present, limits, room)
         by_windows = accepted(evidence, limits, np.asarray(~isolated.any(axis=-1)) & (not begins))
+        usual = np.where(usable, np.where(everything.chi_square < USUAL_SQUARE * spread, usual + 1, 0.0), usual)
+        follows = usable & (1 - everything.weight * self.plant.sensor_sigma**2 > FOLLOWED)
+        of_process = whole & (np.sum(everything.chi_square > CLIP**2 * spread, axis=-1) > 1)  # it brought several far readings
+        by_windows, proposed = self._confirmed(by_windows, proposed, follows.any(axis=-1) & ~of_process, usable)
         used, found, leads = everything, counted.found, led
         led = np.where(usable, 0.0, leads)  # a sensor that has no reading now keeps its lead
         process, restart = by_windows.is_process, none
         waits = np.zeros(y.shape, bool)
         if isolated.any() or by_windows.is_sensor.any() or process.any():
             capped = capped | (by_windows.is_sensor & (room < 1))
-            sensor, lately = by_windows.is_sensor & (room > 0), stands & (standing.since <= LATELY)
-            spike = sensor & self._is_spike(tested, by_windows.sensor, everything)
+            sensor, soon = by_windows.is_sensor & (room > 0), stands & (standing.since <= LATELY)
+            spike = sensor & self._is_spike(tested, by_windows.sensor, usual, follows)
             led = np.where(usable, led_by(leads, isolated, np.where(isolated, everything.innovation, 0.0)), leads)
-            waits = isolated & (np.abs(led) < np.where(lately, PERSISTENT, TWICE)[..., None])
+            waits = isolated & (np.abs(led) < np.where(soon, PERSISTENT, TWICE)[..., None])
             isolated = (isolated & ~waits) | ((sensor & ~spike)[..., None] & one_hot(by_windows.sensor, count))
             freed = absorbed_before(evidence, isolated, by_windows.sensor) | spike
             changed, leaves = freed | process, isolated.any(axis=-1)
@@ -294,8 +301,8 @@ class RobustBank(ExcludingBank):
         before = np.diagonal(prior.core.P, axis1=-2, axis2=-1)[..., own]
         walk = walked(walk, x[..., own] - prior.core.x[..., own], before - variance, ~stands & (not begins))
         after = RobustMemory(
-            GaussianState(x, p), exclusion, out_for, led, recent, slow, last, standing, pairs, faded(nis, everything),
-            noise, walk, look,
+            GaussianState(x, p), exclusion, out_for, led, usual, proposed, recent, slow, last, standing, pairs,
+            faded(nis, everything), noise, walk, look,
         )  # fmt: skip
         if self.accommodate:
             after = self._with_look(after, self._begins(memory, after), now, y, u, quiet)
@@ -377,11 +384,28 @@ class RobustBank(ExcludingBank):
         np.einsum("...ii->...i", S)[...] += np.where(larger, np.exp(noise.size - LARGER) - 1, 0.0) * self.plant.sensor_cov
         return joint._replace(S=S, repeated=None)
 
-    def _is_spike(self, tested: Tested, sensor: Array, found: LeaveOneOut) -> Array:
-        """Whether the onset of a sensor (...) is at most `BRIEF` samples ago and its present reading is as expected (...)."""
+    def _is_spike(self, tested: Tested, sensor: Array, usual: Array, follows: Array) -> Array:
+        """Whether a sensor (...) had an outlier: its onset is at most `BRIEF` samples ago, and its present reading as expected.
+
+        One of a sensor that the estimate follows (..., N) shows for longer: its onset is at most `FOLLOWED_FOR` samples ago,
+        and all but one of its readings since are as expected. usual (..., N): readings in a row that are.
+        """
         slot = value_at(tested.best_recent.slot, sensor)
-        age = value_at(tested.recent.age, slot)
-        return np.asarray((age <= BRIEF) & (value_at(found.chi_square, sensor) < USUAL_SQUARE))
+        age, expected = value_at(tested.recent.age, slot), value_at(usual, sensor)
+        after = value_at(follows, sensor) & (age <= FOLLOWED_FOR) & (expected >= age - 1)
+        return np.asarray((expected > 0) & ((age <= BRIEF) | after))
+
+    def _confirmed(self, by_windows: Accepted, proposed: Array, again: Array, usable: Array) -> tuple[Accepted, Array]:
+        """What the windows accept, and the process hypothesis (..., P) that they propose now.
+
+        In the runs `again` (...) holds one is accepted only where it was proposed before, too.
+        """
+        if not (by_windows.is_process.any() or proposed.any()):
+            return by_windows, proposed
+        some = np.asarray(usable.any(axis=-1))
+        now = by_windows.is_process[..., None] & one_hot(by_windows.process, proposed.shape[-1])
+        confirmed = by_windows.is_process & (~again | (some & value_at(proposed, by_windows.process)))
+        return by_windows._replace(is_process=confirmed), np.where(some[..., None], now, proposed)
 
     def _predict(self, estimate: GaussianState, standing: Standing, walk: Walk, now: TimeStep, u: Array) -> Prior:
         """The prediction of the augmented state, with process noise by errors of equations and by parameters that walk."""

@@ -30,6 +30,7 @@ class RobustMemory(NamedTuple):
     """Estimate of the augmented state, sensors left out and for how many samples (..., N), windows, accepted hypotheses.
 
     led (..., N): samples in a row in which a sensor explained the readings better than the process, with the sign of its fault.
+    usual (..., N): readings in a row that were as expected. proposed (..., P): the process hypothesis that the windows accept.
     nis (...): running mean of the normalised innovation squared without the worst sensor.
     """
 
@@ -37,6 +38,8 @@ class RobustMemory(NamedTuple):
     exclusion: Exclusion
     out_for: Array
     led: Array
+    usual: Array
+    proposed: Array
     recent: Window
     slow: Window
     update: LastUpdate
@@ -57,6 +60,8 @@ def nothing_known(of: Hypotheses, estimate: GaussianState, batch: tuple[int, ...
         none_excluded(batch, count),
         np.zeros((*batch, count)),
         np.zeros((*batch, count)),
+        np.zeros((*batch, count)),
+        np.zeros((*batch, len(of.process)), bool),
         empty(batch, near, states, count + p + n),
         empty(batch, far, states, count + p),
         no_update(batch, states, count),

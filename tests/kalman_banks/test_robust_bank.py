@@ -24,6 +24,9 @@ from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.kalman_banks import reading_noise, robust_bank, robust_memory
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.kalman_banks.robust_bank import QUIET_SHARE, RobustBank
+from fusion_sfdia.models.power_network.plant import power_network
+from fusion_sfdia.study.audit import KINDS, outcomes
+from fusion_sfdia.study.protocol import CASES
 
 Array = NDArray[Any]
 PLANT = declared()
@@ -424,6 +427,19 @@ def test_slow_noise_that_is_declared_isolates_no_sensor() -> None:
     y[100:, :, 1] += 12 * plant.sensor_sigma[1]
     found = diagnosed(RobustBank(plant), y, log.u_of_runs).isolated
     assert found[110:, :, 1].mean() > 0.8 and not found[..., [0, 2, 3]].any()
+
+
+@pytest.mark.slow
+def test_outliers_that_the_estimate_follows_name_no_sensor_and_seldom_the_process() -> None:
+    """Power network, where the estimate follows a quarter to nine tenths of the innovations of a sensor; 1 % outliers of 10
+    sigma in 6 runs of 150 samples. Before one outlier counted once there, healthy sensors were isolated in .096 of the rows,
+    and one or the process named in .246; now in .004 and .059. Of 900 rows, bounds of 10 standard errors of independent ones.
+    """
+    bank, case = RobustBank(power_network()), next(c for c in CASES if c.name == "outliers")
+    found = outcomes(bank, case, range(52001, 52007), 150)[0]
+    false, wrong = (sum(o.counts[KINDS.index(kind)] for o in found) / 900 for kind in ("false", "wrong"))
+    assert false < 0.004 + 10 * np.sqrt(0.004 / 900)
+    assert wrong < 0.059 + 10 * np.sqrt(0.059 / 900)
 
 
 def test_a_bias_that_a_model_may_err_by_is_an_alarm_without_a_name() -> None:

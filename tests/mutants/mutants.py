@@ -34,6 +34,12 @@ def mutated(text: str, mutant: Mutant) -> str:
 
 MUTANTS = (
     Mutant(
+        "fusion_sfdia/kalman_banks/robust_bank.py",
+        "(age <= FOLLOWED_FOR)",
+        "(age < 0)",
+        "tests/kalman_banks/test_robust_bank.py::test_outliers_that_the_estimate_follows_name_no_sensor_and_seldom_the_process",
+    ),
+    Mutant(
         "fusion_sfdia/adaptive_thresholds/adaptive_threshold.py",
         "/ self.plant.dt\n        rates",
         "\n        rates",
