@@ -93,6 +93,7 @@ from fusion_sfdia.kalman_banks.sequential_rules import Ewma as Ewma
 from fusion_sfdia.kalman_banks.sequential_rules import Shewhart as Shewhart
 from fusion_sfdia.kalman_banks.sequential_rules import SumOfSquares as SumOfSquares
 from fusion_sfdia.kalman_banks.unknown_input import UnknownInputFilter as UnknownInputFilter
+from fusion_sfdia.learning.monitor import Monitor as Monitor
 from fusion_sfdia.live.changes import Change as Change
 from fusion_sfdia.live.watch import Sample as Sample
 from fusion_sfdia.live.watch import Watch as Watch
@@ -113,9 +114,6 @@ from fusion_sfdia.models.power_network.plant import power_network as power_netwo
 from fusion_sfdia.models.two_tanks.plant import two_tanks as two_tanks
 from fusion_sfdia.monitoring.calibration import Calibration as Calibration
 from fusion_sfdia.monitoring.calibration import calibrate as calibrate
-from fusion_sfdia.monitoring.monitor import Monitor as Monitor
-from fusion_sfdia.monitoring.monitor import Monitored as Monitored
-from fusion_sfdia.monitoring.monitor import learn_monitor as learn_monitor
 from fusion_sfdia.monitoring.outlier_detector import SensorFaultDetector as SensorFaultDetector
 from fusion_sfdia.monitoring.since_start import SinceStart as SinceStart
 from fusion_sfdia.named import diagnose as diagnose

@@ -96,6 +96,8 @@ class Diagnosis:
             return Conclusion(Verdict.PROCESS)
         if "sensor" in likely:
             return Conclusion(Verdict.SENSOR)
+        if "outside" in likely:
+            return Conclusion(Verdict.OUTSIDE, "no healthy log has such readings")
         if open_questions(self.events, t) or any(e.confidence < EVEN for e in self.events):
             return Conclusion(Verdict.UNDECIDED)
         if np.any(d.diverged):

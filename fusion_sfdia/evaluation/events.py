@@ -182,6 +182,8 @@ def verdict(events: Sequence[Event], t: Array) -> str:
     parts = []
     if process := [e.hypothesis for e in events if e.kind == "process"]:
         parts.append(f"process or model: {listed(process)}")
+    if outside := [e.hypothesis for e in events if e.kind == "outside"]:
+        parts.append(f"outside what was learnt: {listed(outside)}")
     for suspects in dict.fromkeys(e.suspects for e in open_questions(events, t)):
         parts.append(unsure(suspects))
     likely = [e for e in events if not e.confidence < EVEN]

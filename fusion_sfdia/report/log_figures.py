@@ -27,6 +27,7 @@ MOST_POINTS = 1500  # of a line
 LOUD = 6.0  # standard deviations that the overview shows as the darkest
 KINDS = {  # of events: the word and the colour
     "process": ("process or model", COLOURS[1]),
+    "outside": ("not learnt", COLOURS[2]),
     "undecided": ("cannot tell", COLOURS[4]),
     "sensor": ("sensor", COLOURS[0]),
     "other": ("other fault", COLOURS[3]),

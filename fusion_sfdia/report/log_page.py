@@ -28,11 +28,15 @@ MOST_ZOOMS = 24
 
 
 class About(NamedTuple):
-    """Names for people, of the log and of the detector, and what else is to be known of the detector, a line each."""
+    """Names for people, of the log and of the detector, and what else is to be known of the detector, a line each.
+
+    basis: by what the log is judged, where that is no model.
+    """
 
     log: str
     detector: str
     notes: tuple[str, ...] = ()
+    basis: str = ""
 
 
 class Drawn(NamedTuple):
@@ -67,8 +71,8 @@ def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosi
         .render(
             css=Markup(part("page.css")),
             about=about,
-            health=_sentence(found.health.line if found.health else "model not tested"),
-            suspect=found.health is None or found.health.suspect,
+            health=_sentence(found.health.line if found.health else about.basis or "model not tested"),
+            suspect=found.health.suspect if found.health else not about.basis,
             verdict=f"{found.verdict}.",
             samples=len(found.t),
             sensors=len(plant.sensors),
@@ -139,7 +143,7 @@ def _row(found: Diagnosis, e: Event) -> dict[str, Any]:
         size = f"{with_unit(value, e.unit)} +- {sd}"
     if known and math.isfinite(e.low):
         interval = f"{e.low:.4g} to {e.high:.4g}"
-    kinds = {"process": "process or model", "undecided": "cannot tell", "other": "other fault"}
+    kinds = {"process": "process or model", "outside": "not learnt", "undecided": "cannot tell", "other": "other fault"}
     return {
         "what": e.hypothesis,
         "fault": " or ".join([e.fault, *e.fault_alternatives]) if e.fault else kinds.get(e.kind, "not named"),

@@ -27,6 +27,7 @@ FOLDERS: dict[str, set[str]] = {
     "evaluation": {"core", "filters"},
     "identification": {"core", "filters"},
     "monitoring": {"logs", "core", "evaluation", "identification", "kalman_banks", "data_driven"},
+    "learning": {"core", "evaluation"},
     "fmu": {"core", "logs"},  # of the last its reader of units
     "registry": {"core", "detectors", "fmu", "models"},  # of the last three only names, until one is used
     "detectors": {"registry"},

@@ -1,0 +1,202 @@
+"""Logs on one grid of time, and which of their channels can be learnt, in which form.
+
+Rows go to the nearest multiple of the median step; rows that are not there have no readings. A gap of more than 60 rows begins
+a new piece.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import skew
+
+from fusion_sfdia.core.arguments import require_unique
+from fusion_sfdia.core.gaps import LONG
+from fusion_sfdia.core.log import Log
+from fusion_sfdia.core.signals import Signal
+
+Array = NDArray[Any]
+
+SKEWED = 2.0  # of readings that are not negative: their logarithm is used where it halves their skewness
+FLOOR = 0.5  # of the 1 % quantile of the positive ones, below which the logarithm takes them as equal
+MISSING = 0.3  # share of readings that a channel may lack
+PARTS = 8  # parts of the healthy rows, in at least half of which a channel must have readings, and move
+
+
+class Piece(NamedTuple):
+    """Rows on a grid: times t (K,), readings of all columns v (K, n) in their own units, NaN where there is none.
+
+    rows (K,): the row of the log that each was, the last one where it was several, -1 where none was.
+    """
+
+    t: Array
+    v: Array
+    rows: Array
+
+
+def median_step(logs: Sequence[Log]) -> float:
+    """The median distance of rows (s) of logs; ValueError where there is none."""
+    for k, log in enumerate(logs, start=1):
+        if not (np.isfinite(log.t).all() and np.all(np.diff(log.t) > 0)):
+            raise ValueError(f"the times of healthy log {k} do not rise; sort its rows and drop duplicates")
+    steps = np.concatenate([np.diff(log.t) for log in logs]) if logs else np.empty(0)
+    if not steps.size:
+        raise ValueError("there are no two healthy rows in one log; expected logs of some hundred rows")
+    return float(np.median(steps))
+
+
+def pieces_of(log: Log, dt: float) -> list[Piece]:
+    """The pieces of a log of one run, t (K,), y (K, N), u (K, m), on a grid of step dt (s) from its first row on."""
+    t, y, u = log
+    if not (np.isfinite(t).all() and np.all(np.diff(t) > 0)):
+        raise ValueError("the times of the log do not rise; sort its rows and drop duplicates")
+    step = np.rint((t - t[0]) / dt).astype(np.int64)
+    v = np.concatenate([y, u], axis=1)
+    found = []
+    for part in np.split(np.arange(t.size), np.flatnonzero(np.diff(step) > LONG) + 1):
+        at = step[part] - step[part[0]]
+        values, rows = np.full((at[-1] + 1, v.shape[1]), np.nan), np.full(at[-1] + 1, -1)
+        rows[at] = part
+        for k, i in zip(at, part, strict=True) if np.any(np.diff(at) == 0) else ():
+            values[k] = np.where(np.isfinite(v[i]), v[i], values[k])  # of several rows at one step the last readings
+        if not np.any(np.diff(at) == 0):
+            values[at] = v[part]
+        found.append(Piece(t[0] + dt * (step[part[0]] + np.arange(len(values))), values, rows))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Channels:
+    """Columns of logs, sensors first, and what is used of them.
+
+    used: indices of the columns that are used, sensors first. floor, mean, sd (q,) of these: z = (v - mean) / sd, where floor
+    is a number of log(max(v, floor)). left_out: why the others are not. still: sensors that never moved, and their reading.
+    """
+
+    sensors: tuple[Signal, ...]
+    inputs: tuple[Signal, ...]
+    used: Array
+    floor: Array
+    mean: Array
+    sd: Array
+    left_out: dict[str, str]
+    still: dict[str, float]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the channels that are used."""
+        every = [s.name for s in (*self.sensors, *self.inputs)]
+        return tuple(every[i] for i in self.used)
+
+    @property
+    def count(self) -> int:
+        """How many of the channels that are used are sensors."""
+        return int(np.sum(self.used < len(self.sensors)))
+
+    def scaled(self, v: Array) -> Array:
+        """Scaled readings z (K, q) of readings v (K, n) of all columns."""
+        found = np.asarray(v, float)[:, self.used]
+        logs = np.isfinite(self.floor)
+        found[:, logs] = np.log(np.maximum(found[:, logs], self.floor[logs]))
+        return np.asarray((found - self.mean) / self.sd)
+
+    def size(self, i: int, v: float, z: float) -> float:
+        """By how much a reading v of the channel i is off in its unit, where it is off by z standard deviations."""
+        if np.isfinite(self.floor[i]):
+            return float(v * -np.expm1(-z * self.sd[i]))
+        return float(z * self.sd[i])
+
+
+def learn_channels(sensors: Sequence[Signal], inputs: Sequence[Signal], logs: Sequence[Sequence[Piece]]) -> Channels:
+    """Which columns of healthy logs, each in pieces, can be learnt; ValueError where fewer than two can."""
+    signals = (*sensors, *inputs)
+    require_unique("signals of a log", [s.name for s in signals])
+    v = np.concatenate([piece.v for log in logs for piece in log])
+    there = np.concatenate([piece.rows >= 0 for log in logs for piece in log])
+    left_out: dict[str, str] = {}
+    still: dict[str, float] = {}
+    used, floors = [], []
+    for i, signal in enumerate(signals):
+        why = _unusable(v[:, i], there)
+        if why == STILL:
+            if i < len(sensors):
+                still[signal.name] = float(np.nanmedian(v[:, i]))
+            else:
+                left_out[signal.name] = why
+        elif why:
+            left_out[signal.name] = why
+        else:
+            used.append(i)
+            floors.append(_floor(v[:, i]))
+    count = sum(i < len(sensors) for i in used)
+    if count < 1 or len(used) < 2:
+        raise ValueError(
+            f"{count} sensors and {len(used) - count} inputs of the healthy logs can be learnt; expected two channels or more, "
+            f"one of them a sensor: {'; '.join(f'{n} {why}' for n, why in left_out.items()) or 'none moves'}"
+        )
+    of, floor = np.array(used), np.array(floors)
+    z = v[:, of]
+    logs_of = np.isfinite(floor)
+    z[:, logs_of] = np.log(np.maximum(z[:, logs_of], floor[logs_of]))
+    mean, sd = np.nanmean(z, axis=0), np.nanstd(z, axis=0)
+    return Channels(tuple(sensors), tuple(inputs), of, floor, mean, sd, left_out, still)
+
+
+STILL = "never moves in the healthy logs"
+
+
+def _unusable(v: Array, there: Array) -> str:
+    """Why a channel (K,) cannot be learnt, "" where it can."""
+    known = np.isfinite(v)
+    if not known.any():
+        return "has no reading in the healthy logs"
+    if np.nanmin(v) == np.nanmax(v):
+        return STILL
+    if (missing := 1 - np.sum(known) / np.sum(there)) > MISSING:
+        return f"misses {missing:.0%} of its readings in the healthy logs"
+    values, counts = np.unique(v[known], return_counts=True)
+    common = values[np.argmax(counts)]
+    parts = np.array_split(np.arange(len(v)), PARTS)
+    if sum(bool(known[p].any()) for p in parts) <= PARTS / 2:
+        return "has readings in less than half of the healthy time"
+    if sum(bool(np.any(known[p] & (v[p] != common))) for p in parts) <= PARTS / 2:
+        return f"differs from {common:.6g} in less than half of the healthy time"
+    return ""
+
+
+def _floor(v: Array) -> float:
+    """The floor of the logarithm of a channel (K,), NaN where its readings are used as they are."""
+    known = v[np.isfinite(v)]
+    if known.min() < 0 or not (known > 0).any() or abs(before := float(skew(known))) <= SKEWED:
+        return np.nan
+    floor = FLOOR * float(np.quantile(known[known > 0], 0.01))
+    after = float(skew(np.log(np.maximum(known, floor))))
+    return floor if abs(after) <= abs(before) / 2 else np.nan
+
+
+def repeats(v: Array) -> Array:
+    """How many readings in a row were equal (K, N), each row of v included; missing ones count as the one before."""
+    return np.stack([_run_lengths(column) for column in v.T], axis=1)
+
+
+def _run_lengths(v: Array) -> Array:
+    known = np.flatnonzero(np.isfinite(v))
+    found = np.zeros(len(v))
+    if not known.size:
+        return found
+    new = np.append(True, np.diff(v[known]) != 0)
+    start = np.maximum.accumulate(np.where(new, np.arange(known.size), 0))
+    found[known] = np.arange(known.size) - start + 1
+    last = np.maximum.accumulate(np.where(np.isfinite(v), np.arange(len(v)), 0))
+    return np.where(np.isfinite(v[last]), found[last], 0.0)
+
+
+def absences(v: Array) -> Array:
+    """How many readings in a row were missing, each row of v (K, N) included."""
+    k = np.arange(len(v))[:, None]
+    last = np.maximum.accumulate(np.where(np.isfinite(v), k, -1), axis=0)
+    return np.asarray((k - last).astype(float))

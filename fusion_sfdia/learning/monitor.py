@@ -1,0 +1,248 @@
+"""Monitoring without a model: what is learnt from healthy logs, kept in one file, and the diagnosis of other logs with it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.clock import Clock
+from fusion_sfdia.core.log import Log
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.rate import Rate, lasting
+from fusion_sfdia.core.signals import Signal
+from fusion_sfdia.core.storage import read_arrays, write_arrays
+from fusion_sfdia.evaluation.diagnose import Diagnosis
+from fusion_sfdia.learning.causes import causes
+from fusion_sfdia.learning.channels import Channels, learn_channels, median_step, pieces_of
+from fusion_sfdia.learning.diagnosis import SECONDS, Verdicts, diagnosed, plant_of, verdicts_of
+from fusion_sfdia.learning.held_out import WITNESS, Learnt, learn
+from fusion_sfdia.learning.judging import judged
+from fusion_sfdia.learning.residuals import rows_of
+from fusion_sfdia.learning.saved import packed, unpacked
+
+Array = NDArray[Any]
+
+FALSE_ALARM = 0.01  # share of rows: some hundred healthy rows support no lower one
+SUPPORTED = 4.0  # rows in alarm that the healthy rows would hold at the lowest rate that they can set
+FOUND = 1.3  # standard deviations above its limit: a lasting bias of so much is found with a probability of 0.9
+LEAST = 64  # healthy rows
+VERSION = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Monitor:
+    """What was learnt from healthy logs of one plant; `Monitor.fit` makes it.
+
+    channels: which columns are used, and how. dt: step of the grid (s). rate: the stated share of rows in alarm, and per_row
+    what the limits are for. healthy: rows of each log, and where it begins and ends, in words.
+    """
+
+    channels: Channels
+    dt: float
+    rate: Rate
+    per_row: float
+    learnt: Learnt
+    healthy: tuple[tuple[str, int, str, str], ...]
+    remarks: tuple[str, ...] = field(default=())
+
+    @classmethod
+    def fit(
+        cls,
+        sensors: Sequence[Signal],
+        healthy: Sequence[Log],
+        *,
+        inputs: Sequence[Signal] = (),
+        false_alarm: float | str | Rate = FALSE_ALARM,
+        names: Sequence[str] = (),
+        clocks: Sequence[Clock] = (),
+    ) -> Monitor:
+        """Learn from healthy logs, each of one run: t (K,), y (K, N) and u (K, m), NaN where missing.
+
+        false_alarm: share of rows in alarm, or such as "1/day". names, clocks: of the logs, in words.
+        ValueError for logs that do not fit, that are too short, or of which no channel can be learnt.
+        """
+        if not healthy:
+            raise ValueError("there are no healthy logs; expected at least one")
+        for k, log in enumerate(healthy, start=1):
+            if np.ndim(log.y) != 2 or log.y.shape[1] != len(sensors) or np.shape(log.u)[1:] != (len(inputs),):
+                raise ValueError(
+                    f"healthy log {k} has y of shape {np.shape(log.y)} and u of shape {np.shape(log.u)}; expected "
+                    f"{len(sensors)} sensors and {len(inputs)} inputs, a row a time"
+                )
+        dt = median_step(healthy)
+        stated = Rate.of(false_alarm)
+        logs = [pieces_of(log, dt) for log in healthy]
+        rows = sum(len(p.t) for log in logs for p in log)
+        if rows < LEAST:
+            raise ValueError(f"the healthy logs have {rows} rows in steps of {dt:g} s; expected at least {LEAST}: record more")
+        channels = learn_channels(sensors, inputs, logs)
+        per_row = stated.per_sample(dt)
+        least = SUPPORTED / rows
+        pieces = [p for log in logs for p in log]
+        of = [k for k, log in enumerate(logs) for _ in log]
+        learnt = learn([rows_of(channels, p) for p in pieces], channels.count, max(per_row, least), of)
+        clocks = list(clocks) or [SECONDS] * len(healthy)
+        named = list(names) or [f"healthy log {k}" for k in range(1, len(healthy) + 1)]
+        origin = tuple(
+            (name, len(log.t), clock.at(float(log.t[0])), clock.at(float(log.t[-1])))
+            for name, log, clock in zip(named, healthy, clocks, strict=True)
+        )
+        moments = [
+            (float(p.t[0]), len(p.t), clock, name) for name, log, clock in zip(named, logs, clocks, strict=True) for p in log
+        ]
+        found = cls(channels, dt, stated, max(per_row, least), learnt, origin)
+        return cls(channels, dt, stated, found.per_row, learnt, origin, tuple(_remarks(found, rows, per_row, moments)))
+
+    @property
+    def plant(self) -> Plant:
+        """The signals as a plant that does nothing, for reports; sigma: the deviation of the readings when healthy."""
+        return plant_of(self.channels, self.dt)
+
+    def on_grid(self, log: Log) -> Log:
+        """A log of one run with its rows as they are judged, y (K, N) and u (K, m), NaN where there is no reading."""
+        pieces, count = pieces_of(self._fitting(log), self.dt), len(self.channels.sensors)
+        values = np.concatenate([p.v for p in pieces])
+        return Log(np.concatenate([p.t for p in pieces]), values[:, :count], values[:, count:])
+
+    def diagnose(self, log: Log, clock: Clock = SECONDS) -> Diagnosis:
+        """Diagnose a log of one run, y (K, N) and u (K, m) of all sensors and inputs, NaN where missing."""
+        found = self.judge(log)
+        rows = sum(len(v.t) for v in found)
+        expected = f"without a fault some {self.learnt.limits.rate[0] * rows:.2g} of these {rows} rows would be in alarm"
+        return diagnosed(self.channels, self.dt, found, (self.promise, expected, *self.remarks), clock)
+
+    def judge(self, log: Log) -> list[Verdicts]:
+        """The verdicts on a log, of its pieces between gaps of more than 60 rows."""
+        found = []
+        for piece in pieces_of(self._fitting(log), self.dt):
+            tests = judged(self.learnt, rows_of(self.channels, piece))
+            found.append(verdicts_of(self.channels, piece, tests, causes(self.learnt, tests)))
+        return found
+
+    def _fitting(self, log: Log) -> Log:
+        t, y, u = log
+        if np.ndim(y) != 2 or y.shape[1] != len(self.channels.sensors) or np.shape(u)[1:] != (len(self.channels.inputs),):
+            raise ValueError(
+                f"y {np.shape(y)}, u {np.shape(u)} do not fit {len(self.channels.sensors)} sensors and "
+                f"{len(self.channels.inputs)} inputs; give those of the healthy logs"
+            )
+        return Log(t, y, u)
+
+    def smallest(self) -> dict[str, dict[int, float]]:
+        """Of each sensor the smallest lasting bias that is found with a probability of 0.9, in its unit, by rows of window."""
+        limits = self.learnt.limits
+        found: dict[str, dict[int, float]] = {}
+        for i, name in enumerate(self.channels.names[: self.channels.count]):
+            if np.isfinite(self.channels.floor[i]):
+                continue
+            found[name] = {
+                t.scale: float((limits.limit[k, i] + FOUND * limits.deviation[k, i]) * self.channels.sd[i])
+                for k, t in enumerate(limits.tests)
+                if t.kind == "level" and np.isfinite(limits.limit[k, i])
+            }
+        return found
+
+    @property
+    def promise(self) -> str:
+        """What is promised of the rate of rows in alarm, in words."""
+        trend = [n for n, t in zip(self.channels.names, self.learnt.limits.trend, strict=False) if t]
+        if trend:
+            return f"no rate of false alarms can be stated: {_and(trend)} drifted over the healthy logs; record longer ones"
+        mean, low, high = self.learnt.limits.rate
+        return f"rows in alarm without a fault: {mean:.2g} ({low:.2g} to {high:.2g}) for a log like the healthy ones"
+
+    def __str__(self) -> str:
+        count = sum(rows for _, rows, _, _ in self.healthy)
+        used, n = self.channels.names, self.channels.count
+        lines = [
+            f"learnt from {count} healthy rows, {lasting(self.dt)} apart: {n} sensors, {len(used) - n} inputs; windows of up "
+            f"to {max(t.scale for t in self.learnt.limits.tests)} rows",
+            self.promise,
+            *self.remarks,
+        ]
+        lines += [f"left out: {name}, {why}" for name, why in self.channels.left_out.items()]
+        lines += [
+            f"{name}: never moved when healthy, always {value:.6g}; any other reading is reported"
+            for name, value in self.channels.still.items()
+        ]
+        units = {s.name: s.unit for s in self.channels.sensors}
+        for i, (name, sizes) in enumerate(self.smallest().items()):
+            if sizes:
+                w = min(sizes, key=lambda k: sizes[k])
+                alone = self.learnt.limits.explained[i] < WITNESS
+                unit = "" if units[name] in ("", "1") else f" {units[name]}"
+                lines.append(
+                    f"{name}: a lasting bias of {sizes[w]:.3g}{unit} is found within {lasting(w * self.dt)}"
+                    + ("; no other channel measures it, so sensor and process cannot be told apart" if alone else "")
+                )
+        return "\n".join(lines)
+
+    def save(self, path: str | Path) -> None:
+        """Write the monitor to one file; `Monitor.load` reads it."""
+        arrays, learnt = packed(self.channels, self.learnt)
+        about = {
+            "dt": self.dt,
+            "rate": str(self.rate),
+            "per_row": self.per_row,
+            "healthy": self.healthy,
+            "remarks": self.remarks,
+        }
+        text = json.dumps({"version": VERSION, **about, "remarks": self.remarks, **learnt})
+        write_arrays(Path(path), {"monitor": np.array(text), **arrays}, compress=True)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Monitor:
+        """Read a monitor that `save` wrote; ValueError, which names the file, where it is none."""
+        try:
+            arrays = read_arrays(Path(path))
+            about = json.loads(str(arrays.pop("monitor")))
+            if about["version"] != VERSION:
+                raise ValueError(f"it is of version {about['version']}, this package reads {VERSION}: learn it again")
+            channels, learnt = unpacked(arrays, about)
+            healthy = tuple((str(n), int(k), str(a), str(b)) for n, k, a, b in about["healthy"])
+            rate, remarks = Rate.of(about["rate"]), tuple(map(str, about["remarks"]))
+            return cls(channels, float(about["dt"]), rate, float(about["per_row"]), learnt, healthy, remarks)
+        except OSError as error:
+            raise ValueError(f"{path} cannot be read: {error}") from error
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{path} is no monitor ({error}); write one with `monitor --save`, or Monitor.save") from error
+
+
+def _remarks(found: Monitor, rows: int, per_row: float, moments: Sequence[tuple[float, int, Clock, str]]) -> list[str]:
+    """What the healthy logs cannot support."""
+    lines = []
+    if per_row < found.per_row:
+        lines.append(
+            f"{rows} healthy rows set limits for {found.per_row:.2g} of the rows in alarm, not {per_row:.2g}: record more"
+        )
+    limits, names = found.learnt.limits, found.channels.names
+    for one, what in ((limits.unlike, "differs from the rest"), (limits.wild, "is much wider than the rest")):
+        worst: dict[tuple[int, int], float] = {}
+        for u in one:
+            worst[u.block, u.sensor] = max(worst.get((u.block, u.sensor), 0.0), u.factor)
+        for (block, sensor), factor in sorted(worst.items(), key=lambda item: -item[1])[:3]:
+            first, last = (int(found.learnt.edges[e]) for e in (block, block + 1))
+            lines.append(
+                f"{names[sensor]} {what} from {_when(moments, first, found.dt)} to {_when(moments, last - 1, found.dt)}, by a "
+                f"factor of {factor:.2g}: was it healthy?"
+            )
+    return lines
+
+
+def _when(moments: Sequence[tuple[float, int, Clock, str]], row: int, dt: float) -> str:
+    for start, count, clock, name in moments:
+        if row < count:
+            return clock.at(start + row * dt) + (f" of {name}" if len({m[3] for m in moments}) > 1 else "")
+        row -= count
+    start, count, clock, _ = moments[-1]
+    return clock.at(start + (count - 1) * dt)
+
+
+def _and(names: Sequence[str]) -> str:
+    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")

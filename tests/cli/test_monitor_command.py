@@ -1,0 +1,95 @@
+"""The command `monitor`: from healthy logs, or from what was kept, to a diagnosis and its files."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fusion_sfdia.cli.main import main
+from fusion_sfdia.core.log import Log
+
+DT = 10.0
+NAMES = ("a [K]", "b [bar]", "c [K]", "d [m3/h]")
+
+
+def made(seed: int, rows: int = 600) -> Log:
+    """Four readings of one thing that follows a load."""
+    rng = np.random.default_rng(seed)
+    u, x = np.zeros((rows, 1)), np.zeros(rows)
+    for k in range(1, rows):
+        u[k] = 0.98 * u[k - 1] + 0.2 * rng.standard_normal()
+        x[k] = 0.9 * x[k - 1] + 0.1 * u[k, 0] + 0.3 * rng.standard_normal()
+    return Log(DT * np.arange(rows), x[:, None] * [1.0, -2.0, 0.5, 1.5] + 0.3 * rng.standard_normal((rows, 4)), u)
+
+
+def faulty() -> Log:
+    t, y, u = made(21)
+    y[300:400, 1] += 6.0
+    y[500:, 3] = y[500, 3]
+    return Log(t, y, u)
+
+
+def written(path: Path, log: Log) -> str:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(["time", *NAMES, "load [kW]", "remark"])
+        table.writerows([t, *["" if np.isnan(v) else v for v in y], *u, 1] for t, y, u in zip(*log, strict=True))
+    return str(path)
+
+
+@pytest.fixture
+def healthy(tmp_path: Path) -> list[str]:
+    """The options that give two healthy logs."""
+    logs = [written(tmp_path / f"h{seed}.csv", made(seed)) for seed in range(2)]
+    return [*(a for path in logs for a in ("--healthy", path)), "--inputs", "load", "--ignore", "remark"]
+
+
+@pytest.mark.slow
+def test_a_log_is_diagnosed_and_what_was_learnt_is_kept(
+    healthy: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data, out, kept = written(tmp_path / "data.csv", faulty()), tmp_path / "out", str(tmp_path / "plant.sfdia")
+    command = ["monitor", *healthy, "--data", data, "--save", kept, "--out", str(out)]
+    assert main([*command, "--json"]) == 0
+    shown = capsys.readouterr()
+    events = {e["hypothesis"]: e for e in json.loads(shown.out) if e["kind"] == "sensor" and not (e["confidence"] or 1) < 0.5}
+    assert abs(events["b"]["start_s"] - 3000) <= 4 * DT and abs(events["b"]["size"] - 6.0) < 0.6
+    assert events["d"]["fault"] == "freeze" and events["d"]["open"]
+    assert "rows in alarm without a fault" in shown.err
+    files = {"monitor.txt", "report.html", "events.csv", "reconstructed.csv", "scores.csv", "diagnosis.svg", "diagnosis.png"}
+    assert files == {p.name for p in out.iterdir() if not p.name.startswith(".")}
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "Judged by healthy logs, without a model" in page and "model not tested" not in page
+    assert main(command) == 2 and "already used" in capsys.readouterr().err
+    assert main(["monitor", "--monitor", kept, "--data", data, "--out", str(tmp_path / "again"), "--json"]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert again == json.loads(shown.out)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--data", "log.csv"], "state healthy logs with --healthy"),
+        (["--healthy", "log.csv", "--monitor", "m.sfdia"], "state healthy logs with --healthy"),
+        (["--healthy", "log.csv"], "state the log to diagnose with --data"),
+        (["--monitor", "m.sfdia", "--data", "log.csv", "--inputs", "load"], "are for learning"),
+        (["--monitor", "m.sfdia", "--data", "log.csv"], "cannot be read"),
+    ],
+)
+def test_arguments_that_do_not_go_together_are_refused(
+    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["monitor", *arguments]) == 2
+    assert message in capsys.readouterr().err
+    assert not list((tmp_path / "monitor").glob("*/*.html"))
+
+
+def test_an_input_that_no_log_has_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = written(tmp_path / "log.csv", made(1, 80))
+    assert main(["monitor", "--healthy", path, "--data", path, "--inputs", "lod", "--out", str(tmp_path / "out")]) == 2
+    assert "no column 'lod'" in capsys.readouterr().err and not (tmp_path / "out").exists()
