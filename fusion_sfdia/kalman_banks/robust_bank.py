@@ -5,11 +5,11 @@ The central filter estimates what the plant declares as unknown (`core.augment`)
 
 - A sensor is isolated by the windows, or by the present sample twice in a row, where it explains the readings better than any
   difference of the plant, by a margin. What it has done to the estimate is removed.
-- A process hypothesis is accepted in the same way; where the estimate follows single sensors, in two samples in a row unless it
-  explains several far readings: one outlier that it has followed looks as a change of the plant in the next. The estimate is
-  moved to the hypothesis, with its uncertainty, and the windows restart. While it stands a sensor needs the larger margin, and
-  soon after it was accepted the lead in `PERSISTENT` samples in a row. While it leaves readings of several sensors unexplained,
-  none is isolated.
+- A process hypothesis is accepted in the same way; soon after a far reading, where the estimate follows single sensors, in two
+  samples in a row unless it explains several far readings: an outlier that the estimate has followed looks as a change of the
+  plant in the next. The estimate is moved to the hypothesis, with its uncertainty, and the windows restart. While it stands a
+  sensor needs the larger margin, and soon after it was accepted the lead in `PERSISTENT` samples in a row. While it leaves
+  readings of several sensors unexplained, none is isolated.
 - What readings show of their noise, its size, correlation and outliers, scales all evidence (`reading_noise`); parameters that
   keep moving to one side are allowed to (`parameter_walk`).
 - Where something is uncertain, the first `START` samples give no verdict.
@@ -106,6 +106,7 @@ PERSISTENT = 3  # samples in a row that isolate a sensor then
 TWICE = 2  # samples in a row that isolate a sensor by themselves at other times: one may be an outlier
 BRIEF, FOLLOWED_FOR = 2, 8  # samples since the onset of what may have been an outlier, or one that the estimate has followed
 FOLLOWED = 0.4  # least share of an innovation that the estimate follows, for a single outlier to move it visibly
+FAR_SQUARE = 20.0  # chi-square of a reading that is far off, as outliers are
 USUAL_SQUARE = 6.6  # chi-square below which a reading is as expected (0.99)
 START = 32  # samples without a verdict where something is uncertain
 LEARNT_AGAIN = (8, 16)  # samples before which what is uncertain gets its prior spread again, linearised at a better estimate
@@ -202,7 +203,8 @@ class RobustBank(ExcludingBank):
         return used._replace(out_for=out_for, led=led, pairs=pairs)
 
     def _judge(self, memory: RobustMemory, now: TimeStep, y: Array, u: Array) -> tuple[RobustMemory, Decision]:
-        estimate, exclusion, out_for, led, usual, proposed, *windows, last, standing, pairs, nis, noise, walk, look = memory
+        estimate, exclusion, out_for, led, usual, proposed, since_far, *windows, last, standing, pairs = memory[:12]
+        nis, noise, walk, look = memory[12:]
         of, count = self._hypotheses, y.shape[-1]
         stands = np.asarray(standing.accepted.any(axis=-1))
         begins = of.added > 0 and now.k <= START  # no verdict before what is uncertain has been learnt
@@ -246,7 +248,9 @@ class RobustBank(ExcludingBank):
         usual = np.where(usable, np.where(everything.chi_square < USUAL_SQUARE * spread, usual + 1, 0.0), usual)
         follows = usable & (1 - everything.weight * self.plant.sensor_sigma**2 > FOLLOWED)
         of_process = whole & (np.sum(everything.chi_square > CLIP**2 * spread, axis=-1) > 1)  # it brought several far readings
-        by_windows, proposed = self._confirmed(by_windows, proposed, follows.any(axis=-1) & ~of_process, usable)
+        since_far = np.where((everything.chi_square > FAR_SQUARE * spread).any(axis=-1), 0.0, since_far + 1)
+        again = follows.any(axis=-1) & (since_far <= FOLLOWED_FOR) & ~of_process
+        by_windows, proposed = self._confirmed(by_windows, proposed, again, usable)
         used, found, leads = everything, counted.found, led
         led = np.where(usable, 0.0, leads)  # a sensor that has no reading now keeps its lead
         process, restart = by_windows.is_process, none
@@ -301,7 +305,7 @@ class RobustBank(ExcludingBank):
         before = np.diagonal(prior.core.P, axis1=-2, axis2=-1)[..., own]
         walk = walked(walk, x[..., own] - prior.core.x[..., own], before - variance, ~stands & (not begins))
         after = RobustMemory(
-            GaussianState(x, p), exclusion, out_for, led, usual, proposed, recent, slow, last, standing, pairs,
+            GaussianState(x, p), exclusion, out_for, led, usual, proposed, since_far, recent, slow, last, standing, pairs,
             faded(nis, everything), noise, walk, look,
         )  # fmt: skip
         if self.accommodate:

@@ -31,6 +31,7 @@ class RobustMemory(NamedTuple):
 
     led (..., N): samples in a row in which a sensor explained the readings better than the process, with the sign of its fault.
     usual (..., N): readings in a row that were as expected. proposed (..., P): the process hypothesis that the windows accept.
+    since_far (...): samples since any reading was far off.
     nis (...): running mean of the normalised innovation squared without the worst sensor.
     """
 
@@ -40,6 +41,7 @@ class RobustMemory(NamedTuple):
     led: Array
     usual: Array
     proposed: Array
+    since_far: Array
     recent: Window
     slow: Window
     update: LastUpdate
@@ -62,6 +64,7 @@ def nothing_known(of: Hypotheses, estimate: GaussianState, batch: tuple[int, ...
         np.zeros((*batch, count)),
         np.zeros((*batch, count)),
         np.zeros((*batch, len(of.process)), bool),
+        np.full(batch, np.inf),
         empty(batch, near, states, count + p + n),
         empty(batch, far, states, count + p),
         no_update(batch, states, count),
