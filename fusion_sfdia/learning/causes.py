@@ -21,7 +21,7 @@ OK, SENSOR, MOVED, ONE_OF, PROCESS, OUTSIDE, RECORDER = range(7)
 KINDS = ("as learnt", "sensor", "sensor or process", "one of", "process", "outside what was learnt", "recorder")
 MOST = 5  # sensors that are tried, those with the largest ratios
 NEAR = 0.4  # by so much more may be left by a rival
-SMALL = 0.1  # or so small a share of the largest ratio
+SMALL = 0.15  # or so small a share of the largest ratio
 TWO = 8  # sensors, from which on two may be named
 CLEAR = 2.0  # times its limit that the first of two leaves, from which on the second is named, too, and not suspected
 HOLD = 4  # windows of the scale that saw it, for which a process verdict keeps sensors from being named
@@ -99,6 +99,9 @@ def _explain(learnt: Learnt, found: Judged, ratio: Array, rows: Array, into: tup
     np.put_along_axis(tried, order, True, axis=1)
     tried[:, :n] &= by_sensor > 0
     tried[:, n:] = True
+    partner = learnt.limits.partner
+    for i in np.flatnonzero(partner >= 0):
+        tried[:, partner[i]] |= tried[:, i]
     left = np.full((rows.size, channels), np.inf)
     nov = np.full((rows.size, channels), np.inf)
     for s in range(channels):
@@ -126,6 +129,8 @@ def _explain(learnt: Learnt, found: Judged, ratio: Array, rows: Array, into: tup
                 continue
         if some[r]:
             s = int(best[r])
+            if s < n and partner[s] >= 0 and left[r, partner[s]] < CLEAR:
+                rival[r, partner[s]] = True
             if rival[r].any():
                 kind[row], suspect[row] = ONE_OF, rival[r]
                 suspect[row, s] = True
@@ -134,6 +139,9 @@ def _explain(learnt: Learnt, found: Judged, ratio: Array, rows: Array, into: tup
             continue
         if n >= TWO and largest[r] > 1:
             pair = _two(learnt, found, row, by_sensor[r], (left[r], {w: m[r] for w, m in wanted.items()}))
+            if pair and partner[pair[0]] == pair[1]:
+                kind[row], suspect[row, list(pair)] = ONE_OF, True
+                continue
             if pair:
                 kind[row], named[row, pair[0]] = SENSOR, True
                 (named if left[r, pair[0]] > CLEAR else suspect)[row, pair[1]] = True

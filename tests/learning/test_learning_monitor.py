@@ -91,6 +91,23 @@ def test_what_only_one_sensor_measures_is_sensor_or_process_and_its_freeze_a_sen
     assert "no other channel measures it" in next(line for line in str(monitor).splitlines() if line.startswith("alone"))
 
 
+def test_of_two_sensors_that_only_explain_each_other_it_is_one_or_the_other() -> None:
+    def twins(seed: int) -> Log:
+        t, y, u = made(seed)
+        rng = np.random.default_rng(100 + seed)
+        slow = y[:, 6] * 2.0
+        return Log(t, np.column_stack([y, slow + 0.2 * rng.standard_normal(ROWS)]), u)
+
+    monitor = Monitor.fit((*SENSORS, Signal("twin", "K")), [twins(1), twins(2)], inputs=[LOAD])
+    t, y, u = twins(3)
+    y[500:800, 8] += 6.0
+    causes = monitor.judge(Log(t, y, u))[0].causes
+    names = monitor.channels.names
+    a, b = names.index("alone"), names.index("twin")
+    assert (causes.suspect[500:800, a] & causes.suspect[500:800, b]).mean() > 0.6
+    assert causes.named[500:800, a].mean() < 0.03
+
+
 def test_a_fault_of_the_process_names_no_sensor(monitor: Monitor) -> None:
     found = monitor.diagnose(made(24, process=slice(500, 800)))
     assert {e.kind for e in found.events} & {"process", "outside"}

@@ -34,6 +34,41 @@ def mutated(text: str, mutant: Mutant) -> str:
 
 MUTANTS = (
     Mutant(
+        "fusion_sfdia/learning/windows.py",
+        "own * ri - np.where(past, ij * rj, 0.0)",
+        "own * ri",
+        "tests/learning/test_learning_windows.py::test_errors_are_those_of_conditional_means_with_and_without_the_own_past",
+        quick=True,
+    ),
+    Mutant(
+        "fusion_sfdia/learning/windows.py",
+        "found[: w - 1] = np.nan",
+        "found[:0] = np.nan",
+        "tests/learning/test_learning_windows.py::test_a_mean_needs_half_of_the_rows_of_its_window_and_has_the_same_bits_in_any_piece_of_a_log",
+        quick=True,
+    ),
+    Mutant(
+        "fusion_sfdia/learning/held_out.py",
+        "np.sqrt(variance * (1 + 1 / count))",
+        "np.sqrt(variance)",
+        "tests/learning/test_learning_limits.py::test_a_tolerance_limit_holds_the_next_value_as_often_as_stated",
+        quick=True,
+    ),
+    Mutant(
+        "fusion_sfdia/learning/causes.py",
+        "partner[s] >= 0 and left",
+        "partner[s] < 0 and left",
+        "tests/learning/test_learning_monitor.py::test_of_two_sensors_that_only_explain_each_other_it_is_one_or_the_other",
+        quick=False,
+    ),
+    Mutant(
+        "fusion_sfdia/learning/judging.py",
+        "how_many.max() >= 3",
+        "how_many.max() >= 30",
+        "tests/learning/test_learning_monitor.py::test_all_columns_that_stop_at_once_are_the_recorder",
+        quick=False,
+    ),
+    Mutant(
         "fusion_sfdia/kalman_banks/robust_bank.py",
         "(age <= FOLLOWED_FOR)",
         "(age < 0)",
@@ -644,18 +679,6 @@ MUTANTS = (
         ">= warm_up)",
         "< warm_up)",
         "tests/monitoring/test_calibration.py::test_each_group_is_judged_by_a_detector_that_has_not_seen_it",
-    ),
-    Mutant(
-        "fusion_sfdia/monitoring/monitor.py",
-        "last = np.append(np.diff(steps) > 0, True)",
-        "last = np.append(True, np.diff(steps) > 0)",
-        "tests/monitoring/test_monitor.py::test_times_are_moved_to_equal_steps_and_inputs_held",
-    ),
-    Mutant(
-        "fusion_sfdia/monitoring/monitor.py",
-        "np.isfinite(off) & (off != 0)",
-        "np.isfinite(off) & (off == 0)",
-        "tests/monitoring/test_monitor.py::test_frozen_dead_and_still_sensors_are_reported",
     ),
     Mutant(
         "fusion_sfdia/stochastic_thresholds/present_readings.py",
