@@ -183,24 +183,41 @@ def _events(channels: Channels, v: Verdicts, t_end: float) -> list[Event]:
             how = str(Counter(v.how(i, a, b + 1)[held].tolist()).most_common(1)[0][0])
             value = median(v.sizes[a : b + 1, i]) if how == "" else np.nan
             brief = np.sum(held) <= BRIEF and np.max(v.ratio[a : b + 1, i]) < CLEAR
-            event = Event(names[i], *when(a, b), value, units[names[i]], bool(v.t[b] == t_end), fault=how)
+            first = _stopped_at(v.values[:, channels.used[i]], a) if how in ("freeze", "dropout") else a
+            event = Event(names[i], *when(first, b), value, units[names[i]], bool(v.t[b] == t_end), fault=how)
             found.append(replace(event, confidence=PERHAPS) if brief else event)
+    longer = [(i, *span) for i in range(n) for span in spans(v.causes.named[:, i], JOINED)]
+
+    def part_of(a: int, b: int, which: Sequence[int]) -> bool:
+        """Whether a few rows are the beginning or end of a longer fault of one of these sensors."""
+        near = [q - p for i, p, q in longer if i in which and p - JOINED <= a and b <= q + JOINED]
+        return b - a < JOINED and max(near, default=0) > b - a
+
     for which in (MOVED, ONE_OF):
         for a, b in spans(kind == which, JOINED):
             sets = [tuple(np.flatnonzero(row).tolist()) for row in v.causes.suspect[a : b + 1] if row.any()]
             chosen = Counter(sets).most_common(1)[0][0]
+            if part_of(a, b, chosen):
+                continue
             suspects = tuple(names[i] for i in chosen) + ((PROCESS_NAME,) if which == MOVED else ())
             found.append(UndecidedEvent(" or ".join(suspects), *when(a, b), np.nan, "", bool(v.t[b] == t_end), suspects))
-    longer = [span for i in range(n) for span in spans(v.causes.named[:, i], JOINED)]
     for a, b in spans(np.isin(kind, (PROCESS, OUTSIDE)), JOINED):
-        if b - a < JOINED and any(p - JOINED <= a and b <= q + JOINED and q - p > b - a for p, q in longer):
-            continue  # a part of a sensor's fault
+        if part_of(a, b, range(n)):
+            continue
         outside = 2 * np.sum(kind[a : b + 1] == OUTSIDE) > np.sum(np.isin(kind[a : b + 1], (PROCESS, OUTSIDE)))
         make, name = (OutsideEvent, "operation") if outside else (GroupEvent, TOGETHER)
         found.append(make(name, *when(a, b), np.nan, "", bool(v.t[b] == t_end), most=v.most(a, b + 1, names)))
     for a, b in spans(kind == RECORDER, JOINED):
         found.append(RecorderEvent("recorder", *when(a, b), np.nan, "", bool(v.t[b] == t_end)))
     return found
+
+
+def _stopped_at(v: Array, row: int) -> int:
+    """The first of the rows up to this one that repeat one reading or have none, v (K,)."""
+    first = row
+    while first > 0 and (v[first - 1] == v[row] or not (np.isfinite(v[first - 1]) or np.isfinite(v[row]))):
+        first -= 1
+    return first
 
 
 def _still(channels: Channels, t: Array, y: Array) -> list[Event]:
