@@ -184,7 +184,10 @@ def _events(channels: Channels, v: Verdicts, t_end: float) -> list[Event]:
             value = median(v.sizes[a : b + 1, i]) if how == "" else np.nan
             brief = np.sum(held) <= BRIEF and np.max(v.ratio[a : b + 1, i]) < CLEAR
             first = _stopped_at(v.values[:, channels.used[i]], a) if how in ("freeze", "dropout") else a
-            event = Event(names[i], *when(first, b), value, units[names[i]], bool(v.t[b] == t_end), fault=how)
+            event = Event(
+                names[i], *when(first, b), value, units[names[i]], bool(v.t[b] == t_end), fault=how or "bias",
+                fault_alternatives=() if how else ("drift",),
+            )  # fmt: skip
             found.append(replace(event, confidence=PERHAPS) if brief else event)
     longer = [(i, *span) for i in range(n) for span in spans(v.causes.named[:, i], JOINED)]
 
