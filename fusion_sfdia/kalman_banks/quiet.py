@@ -112,6 +112,13 @@ def too_quiet(now: Pairs, false_alarm: float) -> Array:
     return np.asarray(small & (now.shown >= SHOWN) & ~(usual & np.any(now.squares == 0, axis=-2)))
 
 
+def quietest(now: Pairs, quiet: Array, room: Array) -> Array:
+    """Of the sensors that are too quiet (..., N) as many as there is room for (...), the quietest for their level first."""
+    ratio = np.where(quiet, now.squares.sum(axis=-2) / np.maximum(now.level, np.finfo(float).tiny), np.inf)
+    place = np.argsort(np.argsort(ratio, axis=-1, kind="stable"), axis=-1)
+    return np.asarray(quiet & (place < room[..., None]))
+
+
 @lru_cache
 def _limit(false_alarm: float) -> float:
     return 2 * float(gammaincinv(PAIRS / 2, false_alarm))  # the quantile of chi-square with PAIRS degrees of freedom

@@ -83,7 +83,7 @@ from fusion_sfdia.kalman_banks.likelihood_window import (
 )
 from fusion_sfdia.kalman_banks.parameter_walk import Walk, noise_of
 from fusion_sfdia.kalman_banks.parameter_walk import followed as walked
-from fusion_sfdia.kalman_banks.quiet import no_pairs, paired, too_quiet
+from fusion_sfdia.kalman_banks.quiet import no_pairs, paired, quietest, too_quiet
 from fusion_sfdia.kalman_banks.reading_noise import (
     CLIP,
     LARGER,
@@ -286,7 +286,7 @@ class RobustBank(ExcludingBank):
         quiet = quiet & ~unexplained[..., None] & (not begins)
         if quiet.any():
             held = exclusion.out | isolated
-            fits = held | (np.cumsum(quiet & ~held, axis=-1) <= self.most_faults - np.sum(held, axis=-1, keepdims=True))
+            fits = held | quietest(pairs, quiet & ~held, self.most_faults - np.sum(held, axis=-1))
             quiet, capped = quiet & fits, capped | np.any(quiet & ~fits, axis=-1)
         if self.accommodate and unexplained.any():
             exclusion = restored(exclusion, unexplained[..., None] & (out_for <= self.window))

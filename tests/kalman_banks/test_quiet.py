@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-from fusion_sfdia.kalman_banks.quiet import PAIRS, SHOWN, no_pairs, paired, too_quiet
+from fusion_sfdia.kalman_banks.quiet import PAIRS, SHOWN, no_pairs, paired, quietest, too_quiet
 
 Array = NDArray[Any]
 SIGMA, NONE = np.array([0.5, 3.0]), np.zeros(2)  # no resolution
@@ -120,3 +120,13 @@ def test_a_sensor_is_judged_in_its_own_unit_and_run() -> None:
     found = flags(y, 1e-5)
     np.testing.assert_array_equal(found, flags(y * 1024.0, 1e-5, SIGMA * 1024.0))
     assert found[-1].tolist() == [[False, False], [True, False], [False, False]]
+
+
+def test_where_there_is_room_for_fewer_the_quietest_for_their_level_are_chosen() -> None:
+    pairs = no_pairs((2,), 3)
+    squares = np.full((2, PAIRS, 3), 0.01) * [3.0, 1.0, 2.0]
+    pairs = pairs._replace(squares=squares, level=np.array([[1.0, 1.0, 1.0], [1.0, 0.1, 1.0]]))
+    quiet = np.array([[True, True, True], [True, True, False]])
+    found = quietest(pairs, quiet, np.array([2, 1]))
+    assert found.tolist() == [[False, True, True], [True, False, False]]
+    assert not quietest(pairs, quiet, np.array([0, 0])).any()
