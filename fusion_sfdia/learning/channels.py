@@ -23,6 +23,9 @@ Array = NDArray[Any]
 
 SKEWED = 2.0  # of readings that are not negative: their logarithm is used where it halves their skewness
 FLOOR = 0.5  # of the 1 % quantile of the positive ones, below which the logarithm takes them as equal
+SPARSE = 0.5  # share of the rows in which most columns have readings, below which each tag has times of its own
+KEPT = 0.8  # of the distances of a tag's readings, which the grid keeps then
+SELDOM = 2.0  # steps: a column whose readings are further apart is written on change, and keeps its last reading
 MISSING = 0.3  # share of readings that a channel may lack
 PARTS = 8  # parts of the healthy rows, in at least half of which a channel must have readings, and move
 
@@ -38,19 +41,35 @@ class Piece(NamedTuple):
     rows: Array
 
 
-def median_step(logs: Sequence[Log]) -> float:
-    """The median distance of rows (s) of logs; ValueError where there is none."""
+def usual_step(logs: Sequence[Log]) -> float:
+    """The step (s) of the grid that healthy logs support; ValueError where there is none.
+
+    The median distance of rows; where most columns have readings in less than `SPARSE` of the rows, as of tags that are written
+    each at its own time, the distance that four fifths of the readings of the median column keep.
+    """
     for k, log in enumerate(logs, start=1):
         if not (np.isfinite(log.t).all() and np.all(np.diff(log.t) > 0)):
             raise ValueError(f"the times of healthy log {k} do not rise; sort its rows and drop duplicates")
     steps = np.concatenate([np.diff(log.t) for log in logs]) if logs else np.empty(0)
     if not steps.size:
         raise ValueError("there are no two healthy rows in one log; expected logs of some hundred rows")
-    return float(np.median(steps))
+    known = [np.isfinite(np.concatenate([log.y, log.u], axis=1)) for log in logs]
+    share = np.mean(np.concatenate(known), axis=0)
+    if np.median(share) >= SPARSE:
+        return float(np.median(steps))
+    of_column = []
+    for i in np.flatnonzero(share > 0):
+        apart = [np.diff(log.t[k[:, i]]) for log, k in zip(logs, known, strict=True)]
+        if (distances := np.concatenate(apart)).size:
+            of_column.append(float(np.quantile(distances, KEPT)))
+    return float(np.median(of_column)) if of_column else float(np.median(steps))
 
 
 def pieces_of(log: Log, dt: float) -> list[Piece]:
-    """The pieces of a log of one run, t (K,), y (K, N), u (K, m), on a grid of step dt (s) from its first row on."""
+    """The pieces of a log of one run, t (K,), y (K, N), u (K, m), on a grid of step dt (s) from its first row on.
+
+    Of several rows at one step the mean counts.
+    """
     t, y, u = log
     if not (np.isfinite(t).all() and np.all(np.diff(t) > 0)):
         raise ValueError("the times of the log do not rise; sort its rows and drop duplicates")
@@ -59,27 +78,46 @@ def pieces_of(log: Log, dt: float) -> list[Piece]:
     found = []
     for part in np.split(np.arange(t.size), np.flatnonzero(np.diff(step) > LONG) + 1):
         at = step[part] - step[part[0]]
-        values, rows = np.full((at[-1] + 1, v.shape[1]), np.nan), np.full(at[-1] + 1, -1)
+        rows = np.full(at[-1] + 1, -1)
         rows[at] = part
-        for k, i in zip(at, part, strict=True) if np.any(np.diff(at) == 0) else ():
-            values[k] = np.where(np.isfinite(v[i]), v[i], values[k])  # of several rows at one step the last readings
-        if not np.any(np.diff(at) == 0):
-            values[at] = v[part]
-        found.append(Piece(t[0] + dt * (step[part[0]] + np.arange(len(values))), values, rows))
+        found.append(Piece(t[0] + dt * (step[part[0]] + np.arange(rows.size)), _means(v[part], at, rows.size), rows))
     return found
+
+
+def _means(v: Array, at: Array, steps: int) -> Array:
+    """Means (steps, n) of readings v (K, n) at these steps (K,), to the bit the reading where all are equal."""
+    known = np.isfinite(v)
+    shape = (steps, v.shape[1])
+    count, total, least, most = np.zeros(shape), np.zeros(shape), np.full(shape, np.inf), np.full(shape, -np.inf)
+    np.add.at(count, at, known)
+    np.add.at(total, at, np.where(known, v, 0.0))
+    np.minimum.at(least, at, np.where(known, v, np.inf))
+    np.maximum.at(most, at, np.where(known, v, -np.inf))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(count == 0, np.nan, np.where(least == most, least, total / count))
+
+
+def held(v: Array, hold: Array) -> Array:
+    """Readings v (K, n) with the last one in place of missing ones for so many rows (n,), 0 for none."""
+    k = np.arange(len(v))[:, None]
+    last = np.maximum.accumulate(np.where(np.isfinite(v), k, -1), axis=0)
+    found = np.take_along_axis(v, np.maximum(last, 0), axis=0)
+    return np.where((last >= 0) & ((k - last <= hold) | (k == last)), found, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
 class Channels:
     """Columns of logs, sensors first, and what is used of them.
 
-    used: indices of the columns that are used, sensors first. floor, mean, sd (q,) of these: z = (v - mean) / sd, where floor
+    used: indices of the columns that are used, sensors first. hold (n,): rows for which a column of all keeps its last reading,
+    as one that is written on change, 0 for none. floor, mean, sd (q,) of these: z = (v - mean) / sd, where floor
     is a number of log(max(v, floor)). left_out: why the others are not. still: sensors that never moved, and their reading.
     """
 
     sensors: tuple[Signal, ...]
     inputs: tuple[Signal, ...]
     used: Array
+    hold: Array
     floor: Array
     mean: Array
     sd: Array
@@ -98,8 +136,8 @@ class Channels:
         return int(np.sum(self.used < len(self.sensors)))
 
     def scaled(self, v: Array) -> Array:
-        """Scaled readings z (K, q) of readings v (K, n) of all columns."""
-        found = np.asarray(v, float)[:, self.used]
+        """Scaled readings z (K, q) of readings v (K, n) of all columns, held where they are written on change."""
+        found = held(v, self.hold)[:, self.used]
         logs = np.isfinite(self.floor)
         found[:, logs] = np.log(np.maximum(found[:, logs], self.floor[logs]))
         return np.asarray((found - self.mean) / self.sd)
@@ -115,7 +153,8 @@ def learn_channels(sensors: Sequence[Signal], inputs: Sequence[Signal], logs: Se
     """Which columns of healthy logs, each in pieces, can be learnt; ValueError where fewer than two can."""
     signals = (*sensors, *inputs)
     require_unique("signals of a log", [s.name for s in signals])
-    v = np.concatenate([piece.v for log in logs for piece in log])
+    hold = _hold(logs, len(signals))
+    v = np.concatenate([held(piece.v, hold) for log in logs for piece in log])
     there = np.concatenate([piece.rows >= 0 for log in logs for piece in log])
     left_out: dict[str, str] = {}
     still: dict[str, float] = {}
@@ -143,7 +182,18 @@ def learn_channels(sensors: Sequence[Signal], inputs: Sequence[Signal], logs: Se
     logs_of = np.isfinite(floor)
     z[:, logs_of] = np.log(np.maximum(z[:, logs_of], floor[logs_of]))
     mean, sd = np.nanmean(z, axis=0), np.nanstd(z, axis=0)
-    return Channels(tuple(sensors), tuple(inputs), of, floor, mean, sd, left_out, still)
+    return Channels(tuple(sensors), tuple(inputs), of, hold, floor, mean, sd, left_out, still)
+
+
+def _hold(logs: Sequence[Sequence[Piece]], columns: int) -> Array:
+    """The longest distance (n,) in rows of the readings of each column whose readings are usually further apart than SELDOM."""
+    found = np.zeros(columns)
+    for i in range(columns):
+        apart = [np.diff(np.flatnonzero(np.isfinite(piece.v[:, i]))) for log in logs for piece in log]
+        distances = np.concatenate(apart)
+        if distances.size and np.median(distances) > SELDOM:
+            found[i] = np.max(distances)
+    return found
 
 
 STILL = "never moves in the healthy logs"

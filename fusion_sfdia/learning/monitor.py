@@ -19,7 +19,7 @@ from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.core.storage import read_arrays, write_arrays
 from fusion_sfdia.evaluation.diagnose import Diagnosis
 from fusion_sfdia.learning.causes import causes
-from fusion_sfdia.learning.channels import Channels, learn_channels, median_step, pieces_of
+from fusion_sfdia.learning.channels import Channels, learn_channels, pieces_of, usual_step
 from fusion_sfdia.learning.diagnosis import SECONDS, Verdicts, diagnosed, plant_of, verdicts_of
 from fusion_sfdia.learning.held_out import WITNESS, Learnt, learn
 from fusion_sfdia.learning.judging import judged
@@ -75,7 +75,7 @@ class Monitor:
                     f"healthy log {k} has y of shape {np.shape(log.y)} and u of shape {np.shape(log.u)}; expected "
                     f"{len(sensors)} sensors and {len(inputs)} inputs, a row a time"
                 )
-        dt = median_step(healthy)
+        dt = usual_step(healthy)
         stated = Rate.of(false_alarm)
         logs = [pieces_of(log, dt) for log in healthy]
         rows = sum(len(p.t) for log in logs for p in log)
@@ -166,6 +166,9 @@ class Monitor:
             self.promise,
             *self.remarks,
         ]
+        every = (*self.channels.sensors, *self.channels.inputs)
+        if kept := [f"{s.name} ({lasting(h * self.dt)})" for s, h in zip(every, self.channels.hold, strict=True) if h]:
+            lines.append(f"written on change, a reading counts until the next one, at most so long: {', '.join(kept)}")
         lines += [f"left out: {name}, {why}" for name, why in self.channels.left_out.items()]
         lines += [
             f"{name}: never moved when healthy, always {value:.6g}; any other reading is reported"

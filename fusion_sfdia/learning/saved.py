@@ -13,7 +13,7 @@ from fusion_sfdia.learning.residuals import Scale, Test
 
 Arrays = dict[str, NDArray[Any]]
 
-OF_CHANNELS = ("used", "floor", "mean", "sd")
+OF_CHANNELS = ("used", "hold", "floor", "mean", "sd")
 OF_SCALE = ("centre", "precision", "level", "lead")
 OF_LIMITS = ("limit", "trend", "explained", "partner", "deviation")
 
@@ -35,8 +35,8 @@ def packed(channels: Channels, learnt: Learnt) -> tuple[Arrays, dict[str, Any]]:
 def unpacked(arrays: Arrays, about: dict[str, Any]) -> tuple[Channels, Learnt]:
     """What `packed` was given; KeyError, TypeError or ValueError for anything else."""
     sensors, inputs = (tuple(Signal(*s) for s in about[what]) for what in ("sensors", "inputs"))
-    used, floor, mean, sd = (arrays[name] for name in OF_CHANNELS)
-    channels = Channels(sensors, inputs, used, floor, mean, sd, dict(about["left_out"]), dict(about["still"]))
+    used, hold, floor, mean, sd = (arrays[name] for name in OF_CHANNELS)
+    channels = Channels(sensors, inputs, used, hold, floor, mean, sd, dict(about["left_out"]), dict(about["still"]))
     families = {name: _unpacked(name, given, arrays) for name, given in about["families"].items()}
     own = families["own"]
     return channels, Learnt(own.model, own.limits, arrays["edges"], families.get("absolute"), int(about["longest"]))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.logs.columns import split_title
 from fusion_sfdia.logs.findings import Finding, counted
-from fusion_sfdia.logs.log_map import LogMap
+from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap
 from fusion_sfdia.logs.order import Rows
 from fusion_sfdia.logs.tables import AGAIN, TIME, Table
 
@@ -57,6 +57,7 @@ def tagged(table: Table, log_map: LogMap) -> Tagged:
         log_map = replace(log_map, time=(next(iter(times.values())),))
     named = {n: c for n, c in log_map.columns.items() if c.time}
     times |= {t: c.time for t in titles for n, c in named.items() if n in (t, split_title(t)[0])}
+    table, log_map = _with_usual_time(table, log_map)
     names = {}
     for title in times:
         match = OF_VALUE.fullmatch(split_title(title)[0])
@@ -64,6 +65,16 @@ def tagged(table: Table, log_map: LogMap) -> Tagged:
             names[title] = match[1]
     table = table._replace(titles=[names.get(t, t) for t in titles])
     return Tagged(table, log_map, {names.get(title, title): time for title, time in times.items()})
+
+
+def _with_usual_time(table: Table, log_map: LogMap) -> tuple[Table, LogMap]:
+    """The map with the column of times where it states none, none is called "time" and one has a usual title of times."""
+    names = [split_title(t)[0] for t in table.titles]
+    usual = [n for n in names if re.fullmatch(TIME, n, re.I) and n not in log_map.columns]
+    if log_map.time != PLAIN_MAP.time or log_map.time[0] in (*table.titles, *names) or len(usual) != 1:
+        return table, log_map
+    found = Finding("time", "", len(table.rows), f"times are those of the column {usual[0]!r}")
+    return table._replace(findings=(*table.findings, found)), replace(log_map, time=(usual[0],))
 
 
 def _by_position(titles: Sequence[str], log_map: LogMap) -> dict[str, str]:

@@ -14,6 +14,7 @@ from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.core.verdicts import Verdict
 from fusion_sfdia.learning.causes import OK, RECORDER
+from fusion_sfdia.learning.channels import held, pieces_of
 from fusion_sfdia.learning.monitor import Monitor
 
 Array = NDArray[Any]
@@ -161,6 +162,50 @@ def test_a_channel_that_cannot_be_learnt_is_left_out_and_the_others_stay(monitor
     y[500:800, 2] += STEP
     assert "sensor s2" in events(found, Log(t, y, u))
     assert np.mean(found.judge(gappy(12))[0].causes.alarm) <= 0.02
+
+
+def test_tags_that_are_written_each_at_its_own_time_are_gathered_on_a_grid_that_they_support() -> None:
+    """Each reading in a row of its own, of three of five readings at most; a bias is found within some steps of the grid."""
+
+    def scattered(seed: int, bias: float = 0.0) -> Log:
+        t, y, u = made(seed, 2000)
+        y[1000:1500, 2] += bias
+        rng = np.random.default_rng(50 + seed)
+        k, i = np.nonzero(rng.random((len(t), 7)) < 0.6)
+        at = t[k] + rng.uniform(0, 9, k.size)
+        order = np.argsort(at)
+        v = np.full((k.size, 9), np.nan)
+        v[np.arange(k.size), np.where(i < 6, i, 8)] = np.where(i < 6, y[k, np.minimum(i, 5)], u[k, 0])
+        return Log(at[order], v[order, :8], v[order, 8:])
+
+    log = scattered(1)
+    found = Monitor.fit(SENSORS, [log, scattered(2)], inputs=[LOAD])
+    assert 1.5 * DT < found.dt < 4 * DT and {"alone", "still"} == set(found.channels.left_out)
+    (bias,) = [e for e in found.diagnose(scattered(3, STEP)).events if e.kind == "sensor" and e.end - e.start > 300]
+    assert bias.hypothesis == "s2" and abs(bias.start - 10_000) <= 4 * found.dt and bias.size == pytest.approx(STEP, abs=0.3)
+    assert np.mean(found.judge(scattered(4))[0].causes.alarm) <= 0.02
+
+
+def test_a_column_that_is_written_on_change_keeps_its_last_reading_as_long_as_it_did_when_healthy() -> None:
+    def seldom(seed: int) -> Log:
+        t, y, u = made(seed)
+        return Log(t, y, np.where((np.arange(len(u)) % 5 == 0)[:, None], u, np.nan))
+
+    found = Monitor.fit(SENSORS, [seldom(1), seldom(2)], inputs=[LOAD])
+    assert found.channels.hold.tolist() == [0.0] * 8 + [5.0] and "load (50 s)" in str(found)
+    assert "load" in found.channels.names
+    v = np.array([[1.0], [np.nan], [np.nan], [np.nan], [2.0]])
+    assert held(v, np.array([2.0]))[:, 0].tolist()[:3] == [1.0, 1.0, 1.0] and np.isnan(held(v, np.array([2.0]))[3, 0])
+
+
+def test_several_rows_at_one_step_count_by_their_mean_and_equal_ones_to_the_bit() -> None:
+    t = np.array([0.0, 1.0, 2.0, 10.0, 11.0, 12.0, 30.0])
+    y = np.array([0.1, 0.1, 0.1, 1.0, 2.0, np.nan, 7.0])[:, None]
+    (piece,) = pieces_of(Log(t, y, np.empty((7, 0))), 10.0)
+    assert piece.v[:, 0].tolist()[:2] == [0.1, 1.5] and np.isnan(piece.v[2, 0]) and piece.v[3, 0] == 7.0
+    assert piece.rows.tolist() == [2, 5, -1, 6] and piece.t.tolist() == [0.0, 10.0, 20.0, 30.0]
+    two = pieces_of(Log(np.array([0.0, 10.0, 1000.0]), np.ones((3, 1)), np.empty((3, 0))), 10.0)
+    assert [p.t.tolist() for p in two] == [[0.0, 10.0], [1000.0]]
 
 
 def test_a_sensor_that_never_moved_is_reported_when_it_moves(monitor: Monitor) -> None:

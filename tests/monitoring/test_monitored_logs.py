@@ -58,3 +58,16 @@ def test_a_map_states_how_a_log_is_written_and_which_columns_are_used(tmp_path: 
     assert found.log.y[:, 0] == pytest.approx([1.5, np.nan], nan_ok=True)
     with pytest.raises(ValueError, match="states no columns"):
         signals_of(path, log_map=LogMap(time=("Stamp",), separator=";", tag="N", value="TI 1"))
+
+
+@pytest.mark.parametrize("title", ["timestamp", "DateTime", "Time stamp", "Zeit"])
+def test_a_column_with_a_usual_title_of_times_is_that_of_the_times(tmp_path: Path, title: str) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(f"{title},a\n2026-01-01 00:00:00Z,1\n2026-01-01 00:00:10Z,2\n", encoding="utf-8")
+    sensors, _ = signals_of(path)
+    assert [s.name for s in sensors] == ["a"]
+    found = load(path, sensors)
+    assert found.log.t.tolist() == [0.0, 10.0] and f"times are those of the column {title!r}" in str(found)
+    path.write_text(f"{title},date,a\n2026-01-01 00:00:00Z,1,1\n", encoding="utf-8")  # which of them?
+    with pytest.raises(ValueError, match="no column 'time'"):
+        load(path, sensors)
