@@ -79,8 +79,8 @@ def test_problems_of_a_kind_in_a_column_are_counted(tmp_path: Path) -> None:
 def test_what_follows_from_another_problem_is_not_one(tmp_path: Path) -> None:
     (unit,) = refused(tmp_path, ["time,pressure [furlong],steam,drum,feed,fuel", *GOOD[1:]])
     assert unit.kind == "unit"  # and pressure is no missing sensor
-    (time,) = refused(tmp_path, ["Date,pressure,steam,drum,feed,fuel", *GOOD[1:]])
-    assert time.kind == "time"  # and Date no superfluous column, and 0 no wrong order
+    (time,) = refused(tmp_path, ["when,pressure,steam,drum,feed,fuel", *GOOD[1:]])
+    assert time.kind == "time"  # and when no superfluous column, and 0 no wrong order
     (separator,) = refused(tmp_path, GOOD, LogMap(separator=";"))
     assert separator.kind == "separator"
     (cells,) = refused(tmp_path, [*GOOD[:3], "120,10,1,180,on,1", *GOOD[4:]])
@@ -137,7 +137,7 @@ def test_a_log_in_which_everything_is_otherwise_is_stated_in_one_run(tmp_path: P
     with pytest.raises(LogError) as caught:
         load_log(tmp_path / "log.csv", PLANT)
     stated = str(caught.value)
-    for cure in ("encoding", 'time = "Zeit", format = "%d/%m/%Y %H:%M"', 'decimal = ","', 'order = "sort"', "bad = ["):
+    for cure in ("encoding", 'format = "%d/%m/%Y %H:%M"', 'decimal = ","', 'order = "sort"', "bad = ["):
         assert cure in stated, cure
     assert len(stated.splitlines()) <= 7
 
