@@ -203,7 +203,7 @@ def _absolute(rows: _Rows, scales: Sequence[int]) -> _View:
     ridge, moments = {}, {}
     for w in scales:
         found = [moments_of(p.z, w, RIDGES[1]) for p in rows.pieces]
-        x = np.concatenate([x for x, _ in found])
+        x = np.concatenate([x for x, _ in found]) if len(found) > 1 else found[0][0]
         at = np.concatenate([every + s for (_, every), s in zip(found, rows.starts, strict=False)])
         ridge[w], moments[w] = _ridge(rows, x, at, rows.are_runs)
     return _View({w: _joined([part[w] for part in parts]) for w in scales}, moments, ridge, rows.are_runs)
@@ -222,6 +222,8 @@ def _relative(rows: _Rows, scales: Sequence[int]) -> _View:
 
 
 def _joined(parts: Sequence[Means]) -> Means:
+    if len(parts) == 1:
+        return parts[0]
     quarters = [p.quarter for p in parts if p.quarter is not None]
     return Means(
         np.concatenate([p.now for p in parts]), np.concatenate(quarters) if quarters else None,

@@ -35,6 +35,7 @@ NOISE_CLIP = 1.5  # limits of one reading, up to which its error counts as noise
 LEADING = 0.05  # of the mean eigenvalue: smaller directions of the readings are noise to novelty
 RARE = 0.998  # quantile of the leading scores in learning
 NOVEL = 1.5  # of that quantile: beyond it operation is outside what was learnt
+AT_ONCE = 2048  # rows: of more, the errors are computed in parts
 LATE = 16  # rows: a level over at least as many needs half of its size from the last quarter of its window
 
 
@@ -55,7 +56,7 @@ class Means(NamedTuple):
     quarter: Array | None
     before: Array
 
-    def at(self, rows: Array) -> Means:
+    def at(self, rows: Array | slice) -> Means:
         """At these rows."""
         return Means(self.now[rows], None if self.quarter is None else self.quarter[rows], self.before[rows])
 
@@ -156,6 +157,9 @@ def level_errors(scale: Scale, means: Means, count: int) -> Errors:
 
     A level over at least `LATE` rows counts as at most twice what the last quarter of its window shows.
     """
+    if len(means.now) > AT_ONCE:
+        parts = [level_errors(scale, means.at(slice(k, k + AT_ONCE)), count) for k in range(0, len(means.now), AT_ONCE)]
+        return Errors(*(np.concatenate(one) for one in zip(*parts, strict=True)))
     now, quarter, before = means.less(scale.centre)
     found = errors(scale.precision, np.concatenate([now, before], axis=1), count)
     if quarter is None or scale.w < LATE:
