@@ -119,6 +119,9 @@ def _explain(learnt: Learnt, found: Judged, ratio: Array, rows: Array, into: tup
     outside = found.outside[rows]
     only_fast = (ratio[slow].max(axis=(0, 2)) <= 1) & (largest > 1)
     for r, row in enumerate(rows):
+        if only_fast[r] and outside[r]:
+            kind[row] = OUTSIDE  # where noise is another one, too
+            continue
         if only_fast[r]:
             above = np.flatnonzero(by_sensor[r] > 1)
             if above.size == 1:
@@ -147,6 +150,11 @@ def _explain(learnt: Learnt, found: Judged, ratio: Array, rows: Array, into: tup
                 (named if left[r, pair[0]] > CLEAR else suspect)[row, pair[1]] = True
                 continue
         kind[row] = OUTSIDE if outside[r] else PROCESS
+    drifted = named[rows][:, :n] & learnt.limits.trend
+    for r in np.flatnonzero(drifted.any(axis=1)):  # while they were learnt: they are not named
+        suspect[rows[r], :n] |= drifted[r]
+        named[rows[r], :n] &= ~drifted[r]
+        kind[rows[r]] = kind[rows[r]] if named[rows[r]].any() else OUTSIDE
     _sizes(learnt, found, rows, ratio, named, size)
     _words(learnt, ratio, rows, kind, named, suspect)
 
@@ -173,6 +181,8 @@ def _without(
         e = level_errors(scale, means, n)
         for name, values in (("level", e.level), ("change", e.change)):
             r = np.nan_to_num(np.abs(values) / limits[at[Test(name, scale.w)]])
+            if name == "level":
+                r[:, learnt.limits.trend] = 0.0
             for s in which:
                 if s < n:
                     r[:, s] = 0.0

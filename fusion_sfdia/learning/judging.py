@@ -38,9 +38,9 @@ class Judged(NamedTuple):
     """Of the rows of a piece: the means of each scale, sizes and ratios of the tests (T,), and novelty.
 
     means: as the tests take them, every: as they are. ratio (T, K, N): statistic over its limit. novel (S, K): novelty of each
-    scale over its limit. unlike (K, N): where logs are runs, how far each sensor is from the learnt ones, over its limit.
-    stopped (K, N): sensors that repeat their reading or have none for too long; they are left out of all other tests.
-    together (K,): whether sensors stopped at once.
+    scale over its limit. unlike (K, N): how far a sensor is from the learnt runs, or one that drifted when it was learnt from
+    its level, over the limit. stopped (K, N): sensors that repeat their reading or have none for too long; they are left out of all
+    other tests. together (K,): whether sensors stopped at once.
     """
 
     tests: tuple[Test, ...]
@@ -120,7 +120,11 @@ def judged(learnt: Learnt, rows: Rows) -> Judged:
         if Test("noise", w) in at:
             set_ratio("noise", w, np.where(ended, noise(change, w, most), noisy[w]))
             ratio[at[Test("noise", w)]][window_sums(stops, w)[:, 0] > 0] = 0.0
-    return Judged(tests, means, every, ratio, novel, _unlike(learnt, every, n), stopped, together)
+    unlike, levels = _unlike(learnt, every, n), np.array([t.kind == "level" for t in tests])
+    drifted = np.flatnonzero(learnt.limits.trend)  # while they were learnt: too little is known of their level
+    unlike[:, drifted] = np.fmax(unlike[:, drifted], ratio[np.ix_(levels, np.arange(len(z)), drifted)].max(axis=0))
+    ratio[np.ix_(levels, np.arange(len(z)), drifted)] = 0.0
+    return Judged(tests, means, every, ratio, novel, unlike, stopped, together)
 
 
 def _as_tested(learnt: Learnt, every: dict[int, Means], starts: Sequence[int], scales: Sequence[int]) -> dict[int, Means]:

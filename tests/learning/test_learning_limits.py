@@ -79,6 +79,10 @@ def test_a_sensor_that_drifts_while_it_is_learnt_allows_no_promise() -> None:
     y[:, 3] += 6.0 * np.linspace(0, 1, len(y))
     monitor = Monitor.fit(signals(8), [log_of(y)])
     assert "no rate of false alarms can be stated: s3" in monitor.promise
+    later = factors(9)
+    later[:, 3] += 12.0  # it drifted on: too little was learnt of its level, which is no alarm
+    found = monitor.judge(log_of(later))[0].causes
+    assert np.mean(found.outside) > 0.9 and np.mean(found.alarm) <= 0.03 and not found.named[:, 3].mean() > 0.03
     assert "no rate" not in Monitor.fit(signals(8), [log_of(factors(8))]).promise
 
 
