@@ -39,8 +39,8 @@ class Judged(NamedTuple):
 
     means: as the tests take them, every: as they are. ratio (T, K, N): statistic over its limit. novel (S, K): novelty of each
     scale over its limit. unlike (K, N): how far a sensor is from the learnt runs, or one that drifted when it was learnt from
-    its level, over the limit. stopped (K, N): sensors that repeat their reading or have none for too long; they are left out of all
-    other tests. together (K,): whether sensors stopped at once.
+    its level, over the limit. stopped (K, N): sensors that repeat their reading or have none for too long; they are left out
+    of all other tests. together (K,): whether sensors stopped at once.
     """
 
     tests: tuple[Test, ...]
