@@ -151,7 +151,7 @@ def _explain(learnt: Learnt, found: Judged, ratio: Array, rows: Array, into: tup
                 continue
         kind[row] = OUTSIDE if outside[r] else PROCESS
     drifted = named[rows][:, :n] & learnt.limits.trend
-    for r in np.flatnonzero(drifted.any(axis=1)):  # while they were learnt: they are not named
+    for r in np.flatnonzero(drifted.any(axis=1)).tolist():  # while they were learnt: they are not named
         suspect[rows[r], :n] |= drifted[r]
         named[rows[r], :n] &= ~drifted[r]
         kind[rows[r]] = kind[rows[r]] if named[rows[r]].any() else OUTSIDE

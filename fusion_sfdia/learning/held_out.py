@@ -404,15 +404,17 @@ def _limits(tests: tuple[Test, ...], stats: list[Array], used: list[Array], a: f
         return np.asarray(found)
 
     others = [np.arange(blocks) != b for b in range(blocks)]
-    ratios = [_worst(s, limits(o)) for s, o in zip(stats, others, strict=True)]  # (K, N) each
+    of_others = [limits(o) for o in others]
+    ratios = [_worst(s[~rows], limit[~rows]) for s, limit in zip(stats, of_others, strict=True)]  # (K, N) each
+    stops = [np.any(s[rows] > limit[rows][:, None], axis=(0, 2)) for s, limit in zip(stats, of_others, strict=True)]
     of_sensor = np.stack([_quantile(r[None], u, 1 - OF_SENSORS * a)[0] for r, u in zip(ratios, used, strict=True)])
     factor = np.maximum(LEAST_FACTOR, np.nan_to_num(tolerance(of_sensor, SURE, pooled=True), posinf=1.0))
     top = [np.max(np.nan_to_num(r) / factor, axis=1) for r in ratios]
     of_all = np.array([np.quantile(r[u], 1 - a) for r, u in zip(top, used, strict=True)])
     common = float(tolerance(of_all[:, None], SURE_OF_ALL, pooled=False)[0])
     share = np.array([
-        np.mean(r[u] > float(tolerance(of_all[o][:, None], SURE_OF_ALL, pooled=False)[0]))
-        for r, u, o in zip(top, used, others, strict=True)
+        np.mean((r > float(tolerance(of_all[o][:, None], SURE_OF_ALL, pooled=False)[0]))[u] | stop[u])
+        for r, u, o, stop in zip(top, used, others, stops, strict=True)
     ])  # fmt: skip
     half = student.ppf(0.9, blocks - 1) * np.std(share, ddof=1) * np.sqrt(1 + 1 / blocks)
     rate = (float(np.mean(share)), max(float(np.mean(share) - half), 0.0), max(float(np.mean(share) + half), a))
@@ -425,7 +427,8 @@ def _limits(tests: tuple[Test, ...], stats: list[Array], used: list[Array], a: f
     n = q.shape[-1]
     full = limits(np.ones(blocks, bool))
     unknown = np.zeros(n, bool), np.ones(n), np.full(n, -1), np.full((len(tests), n), np.nan)
-    return Limits(tests, full * factor * common, rate, tuple(wild), unlike, *unknown)
+    full[~rows] *= factor * common  # of repeats and gaps twice the longest is wide already
+    return Limits(tests, full, rate, tuple(wild), unlike, *unknown)
 
 
 def _quantile(s: Array, used: Array, p: float) -> Array:

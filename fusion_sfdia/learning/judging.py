@@ -195,7 +195,8 @@ def _together(ratio: Array, count: Array) -> Array:
     """Whether at least three sensors, each half way to its limit, stopped in the same row, one of them beyond it (K,)."""
     found = np.zeros(len(ratio), bool)
     for k in np.flatnonzero(np.any(ratio > 1, axis=1)):
-        since = count[k][ratio[k] >= 0.5]
-        _, how_many = np.unique(since, return_counts=True)
-        found[k] = how_many.max() >= 3
+        half_way = ratio[k] >= 0.5
+        since, how_many = np.unique(count[k][half_way], return_counts=True)
+        beyond = count[k][ratio[k] > 1]
+        found[k] = np.any((how_many >= 3) & np.isin(since, beyond))
     return found

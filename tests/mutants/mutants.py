@@ -63,8 +63,8 @@ MUTANTS = (
     ),
     Mutant(
         "fusion_sfdia/learning/judging.py",
-        "how_many.max() >= 3",
-        "how_many.max() >= 30",
+        "(how_many >= 3)",
+        "(how_many >= 30)",
         "tests/learning/test_learning_monitor.py::test_all_columns_that_stop_at_once_are_the_recorder",
         quick=False,
     ),
