@@ -18,15 +18,13 @@ from fusion_sfdia.learning.residuals import Test, level_errors, novelty
 Array = NDArray[Any]
 
 OK, SENSOR, MOVED, ONE_OF, PROCESS, OUTSIDE, RECORDER = range(7)
-KINDS = ("as learnt", "sensor", "sensor or process", "one of", "process", "outside what was learnt", "recorder")
 MOST = 5  # sensors that are tried, those with the largest ratios
 NEAR = 0.4  # by so much more may be left by a rival
-SMALL = 0.15  # or so small a share of the largest ratio
+SMALL = 0.15  # or so small a share of the largest ratio; chosen on a recorded fault of the chemical plant (d05)
 TWO = 8  # sensors, from which on two may be named
 CLEAR = 2.0  # times its limit that the first of two leaves, from which on the second is named, too, and not suspected
 HOLD = 4  # windows of the scale that saw it, for which a process verdict keeps sensors from being named
 REST = 16  # rows without trouble after which it is over
-FAST = 4  # rows: change tests over at most as many are alarms outside what was learnt
 
 
 class Causes(NamedTuple):
@@ -70,7 +68,7 @@ def causes(learnt: Learnt, found: Judged) -> Causes:
     if rows.size:
         _explain(learnt, found, ratio[:, rows], rows, (kind, named, suspect, size))
     named[:, :n] |= found.stopped
-    kind[found.stopped.any(axis=1) & np.isin(kind, (OK,))] = SENSOR
+    kind[found.stopped.any(axis=1) & (kind == OK)] = SENSOR
     kind[found.together] = RECORDER
     named[found.together] = suspect[found.together] = False
     _hold(kind, named, suspect, found.stopped, scale)

@@ -17,6 +17,7 @@ from scipy.stats import skew
 from fusion_sfdia.core.arguments import require_unique
 from fusion_sfdia.core.gaps import LONG
 from fusion_sfdia.core.log import Log
+from fusion_sfdia.core.regularity import equal_readings
 from fusion_sfdia.core.signals import Signal
 
 Array = NDArray[Any]
@@ -48,8 +49,7 @@ def usual_step(logs: Sequence[Log]) -> float:
     each at its own time, the distance that four fifths of the readings of the median column keep.
     """
     for k, log in enumerate(logs, start=1):
-        if not (np.isfinite(log.t).all() and np.all(np.diff(log.t) > 0)):
-            raise ValueError(f"the times of healthy log {k} do not rise; sort its rows and drop duplicates")
+        _require_rising(log.t, f"healthy log {k}")
     steps = np.concatenate([np.diff(log.t) for log in logs]) if logs else np.empty(0)
     if not steps.size:
         raise ValueError("there are no two healthy rows in one log; expected logs of some hundred rows")
@@ -65,14 +65,18 @@ def usual_step(logs: Sequence[Log]) -> float:
     return float(np.median(of_column)) if of_column else float(np.median(steps))
 
 
+def _require_rising(t: Array, which: str) -> None:
+    if not (np.isfinite(t).all() and np.all(np.diff(t) > 0)):
+        raise ValueError(f"the times of {which} do not rise; sort its rows and drop duplicates")
+
+
 def pieces_of(log: Log, dt: float) -> list[Piece]:
     """The pieces of a log of one run, t (K,), y (K, N), u (K, m), on a grid of step dt (s) from its first row on.
 
     Of several rows at one step the mean counts.
     """
     t, y, u = log
-    if not (np.isfinite(t).all() and np.all(np.diff(t) > 0)):
-        raise ValueError("the times of the log do not rise; sort its rows and drop duplicates")
+    _require_rising(t, "the log")
     step = np.rint((t - t[0]) / dt).astype(np.int64)
     v = np.concatenate([y, u], axis=1)
     found = []
@@ -99,10 +103,21 @@ def _means(v: Array, at: Array, steps: int) -> Array:
 
 def held(v: Array, hold: Array) -> Array:
     """Readings v (K, n) with the last one in place of missing ones for so many rows (n,), 0 for none."""
-    k = np.arange(len(v))[:, None]
-    last = np.maximum.accumulate(np.where(np.isfinite(v), k, -1), axis=0)
+    k, last = np.arange(len(v))[:, None], _last_read(v)
     found = np.take_along_axis(v, np.maximum(last, 0), axis=0)
     return np.where((last >= 0) & ((k - last <= hold) | (k == last)), found, np.nan)
+
+
+def _last_read(v: Array) -> Array:
+    """The row of the last reading up to each row of v (K, n), -1 before the first."""
+    return np.asarray(np.maximum.accumulate(np.where(np.isfinite(v), np.arange(len(v))[:, None], -1), axis=0))
+
+
+def _in_logs(v: Array, floor: Array) -> Array:
+    """Readings v (K, q), of channels with a floor (q,) log(max(v, floor))."""
+    found, logs = v.copy(), np.isfinite(floor)
+    found[:, logs] = np.log(np.maximum(found[:, logs], floor[logs]))
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,10 +152,7 @@ class Channels:
 
     def scaled(self, v: Array) -> Array:
         """Scaled readings z (K, q) of readings v (K, n) of all columns, held where they are written on change."""
-        found = held(v, self.hold)[:, self.used]
-        logs = np.isfinite(self.floor)
-        found[:, logs] = np.log(np.maximum(found[:, logs], self.floor[logs]))
-        return np.asarray((found - self.mean) / self.sd)
+        return np.asarray((_in_logs(held(v, self.hold)[:, self.used], self.floor) - self.mean) / self.sd)
 
     def size(self, i: int, v: float, z: float) -> float:
         """By how much a reading v of the channel i is off in its unit, where it is off by z standard deviations."""
@@ -178,9 +190,7 @@ def learn_channels(sensors: Sequence[Signal], inputs: Sequence[Signal], logs: Se
             f"one of them a sensor: {'; '.join(f'{n} {why}' for n, why in left_out.items()) or 'none moves'}"
         )
     of, floor = np.array(used), np.array(floors)
-    z = v[:, of]
-    logs_of = np.isfinite(floor)
-    z[:, logs_of] = np.log(np.maximum(z[:, logs_of], floor[logs_of]))
+    z = _in_logs(v[:, of], floor)
     mean, sd = np.nanmean(z, axis=0), np.nanstd(z, axis=0)
     return Channels(tuple(sensors), tuple(inputs), of, hold, floor, mean, sd, left_out, still)
 
@@ -230,23 +240,14 @@ def _floor(v: Array) -> float:
 
 def repeats(v: Array) -> Array:
     """How many readings in a row were equal (K, N), each row of v included; missing ones count as the one before."""
-    return np.stack([_run_lengths(column) for column in v.T], axis=1)
-
-
-def _run_lengths(v: Array) -> Array:
-    known = np.flatnonzero(np.isfinite(v))
-    found = np.zeros(len(v))
-    if not known.size:
-        return found
-    new = np.append(True, np.diff(v[known]) != 0)
-    start = np.maximum.accumulate(np.where(new, np.arange(known.size), 0))
-    found[known] = np.arange(known.size) - start + 1
-    last = np.maximum.accumulate(np.where(np.isfinite(v), np.arange(len(v)), 0))
-    return np.where(np.isfinite(v[last]), found[last], 0.0)
+    found = np.zeros(v.shape)
+    for i, column in enumerate(v.T):
+        at, starts, lengths = equal_readings(column)
+        found[at, i] = np.arange(at.size) - np.repeat(starts, lengths) + 1
+    last = _last_read(v)
+    return np.where(last >= 0, np.take_along_axis(found, np.maximum(last, 0), axis=0), 0.0)
 
 
 def absences(v: Array) -> Array:
     """How many readings in a row were missing, each row of v (K, N) included."""
-    k = np.arange(len(v))[:, None]
-    last = np.maximum.accumulate(np.where(np.isfinite(v), k, -1), axis=0)
-    return np.asarray((k - last).astype(float))
+    return np.asarray((np.arange(len(v))[:, None] - _last_read(v)).astype(float))

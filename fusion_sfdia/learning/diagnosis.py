@@ -28,7 +28,7 @@ Array = NDArray[Any]
 
 SECONDS = Clock()
 BRIEF, CLEAR = 3, 2.0  # rows of an event, and times its limit, up to which a sensor that is named may be one by chance
-PERHAPS = 0.3  # the confidence of these: they are about as often chance as the stated rate of alarms says
+PERHAPS = 0.3  # the confidence of these, our choice: below even, and not measured
 JOINED = 16  # rows: events of one verdict that are fewer apart are one
 PROCESS_NAME, TOGETHER = "the process", "readings that move together"
 

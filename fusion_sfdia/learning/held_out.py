@@ -145,9 +145,7 @@ class _View(NamedTuple):
         """The model of these blocks."""
         found = []
         for w, moments in self.moments.items():
-            total = moments[which[0]]
-            for b in which[1:]:
-                total = total.plus(moments[b])
+            total = Moments.together([moments[b] for b in which])
             means = self.every[w].now[np.isin(rows.of, which)][:: max(w // 4, 1)]
             found.append(learn_scale(w, total, self.ridge[w], self.centred, means))
         return tuple(found)
@@ -170,13 +168,13 @@ def learn(pieces: Sequence[Rows], count: int, rate: float, logs: Sequence[int] =
     rows = _Rows(pieces, of, len(edges) - 1, blocks_of_runs is not None, count)
     known = [w for w in SCALES if w <= max(total / KNOWN, 1)]
     tested = [w for w in known if w <= max(total / TESTED, 1)]
-    absolute = _absolute(rows, known)
+    absolute = _view(rows, known)
     if not rows.are_runs:
         return Learnt(*_family(rows, absolute, tests_of(tested, total // TESTED), rate), edges)
     shortest = float(np.median(np.diff(edges)))
     relative = [w for w in tested if w <= LONGEST_RELATIVE and settled(w)[1] <= max(shortest / 2, settled(1)[1])]
     of_all = _family(rows, absolute, tuple(t for t in tests_of(tested, 0) if t.kind in ("level", "change")), rate)
-    own = _family(rows, _relative(rows, relative), tests_of(relative, total // TESTED), rate)
+    own = _family(rows, _view(rows, relative, relative=True), tests_of(relative, total // TESTED), rate)
     explained = np.fmax(own.limits.explained, of_all.limits.explained)
     limits = replace(own.limits, explained=explained, trend=np.zeros(count, bool))
     return Learnt(own.model, limits, edges, of_all, max(lengths))
@@ -198,27 +196,19 @@ def _runs(lengths: Sequence[int], logs: Sequence[int]) -> list[int] | None:
     return joined if len(joined) >= RUNS else None
 
 
-def _absolute(rows: _Rows, scales: Sequence[int]) -> _View:
+def _view(rows: _Rows, scales: Sequence[int], relative: bool = False) -> _View:
+    """The rows as they are, or about the beginning of each piece; the moments of these are about the mean of each piece."""
     parts = [stacked(p.z, scales) for p in rows.pieces]
+    if relative:
+        parts = [about_reference(part, [0], scales) for part in parts]
+    centred = rows.are_runs and not relative
     ridge, moments = {}, {}
     for w in scales:
         found = [moments_of(p.z, w, RIDGES[1]) for p in rows.pieces]
-        x = np.concatenate([x for x, _ in found]) if len(found) > 1 else found[0][0]
+        own = [x - _of_known(np.nanmean, x, axis=0) if relative else x for x, _ in found]
         at = np.concatenate([every + s for (_, every), s in zip(found, rows.starts, strict=False)])
-        ridge[w], moments[w] = _ridge(rows, x, at, rows.are_runs)
-    return _View({w: _joined([part[w] for part in parts]) for w in scales}, moments, ridge, rows.are_runs)
-
-
-def _relative(rows: _Rows, scales: Sequence[int]) -> _View:
-    """The view about the beginning of each piece; its moments are about the mean of each piece."""
-    parts = [about_reference(stacked(p.z, scales), [0], scales) for p in rows.pieces]
-    ridge, moments = {}, {}
-    for w in scales:
-        found = [moments_of(p.z, w, RIDGES[1]) for p in rows.pieces]
-        x = np.concatenate([x - _of_known(np.nanmean, x, axis=0) for x, _ in found])
-        at = np.concatenate([every + s for (_, every), s in zip(found, rows.starts, strict=False)])
-        ridge[w], moments[w] = _ridge(rows, x, at, False)
-    return _View({w: _joined([part[w] for part in parts]) for w in scales}, moments, ridge, False)
+        ridge[w], moments[w] = _ridge(rows, np.concatenate(own) if len(own) > 1 else own[0], at, centred)
+    return _View({w: _joined([part[w] for part in parts]) for w in scales}, moments, ridge, centred)
 
 
 def _joined(parts: Sequence[Means]) -> Means:
@@ -241,10 +231,7 @@ def _ridge(rows: _Rows, x: Array, at: Array, centred: bool) -> tuple[float, list
         own = x[block == b]
         if not len(own):
             continue
-        others = [moments[c] for c in rows.others(b)]
-        total = others[0]
-        for m in others[1:]:
-            total = total.plus(m)
+        total = Moments.together([moments[c] for c in rows.others(b)])
         if centred:
             own = own - total.mean
         for k, ridge in enumerate(RIDGES):

@@ -21,6 +21,7 @@ from fusion_sfdia.learning.residuals import (
     Scale,
     Test,
     about_reference,
+    blank,
     level_errors,
     noise,
     novelty,
@@ -150,19 +151,13 @@ def _operations(learnt: Learnt, z: Array) -> list[int]:
         rows = np.flatnonzero(new)
         for s in range(z.shape[1]):
             if rows.size:
-                rows = rows[novelty(scale, _without(part[rows], s)) > scale.limit]
+                rows = rows[novelty(scale, blank(part[rows], s)) > scale.limit]
         ends = [int(rows[0])] if rows.size else []
         if learnt.longest < len(part):
             ends.append(learnt.longest)
         if not ends or min(ends) < 1:
             return starts
         starts.append(starts[-1] + min(ends))
-
-
-def _without(means: Array, channel: int) -> Array:
-    means = means.copy()
-    means[:, channel] = np.nan
-    return means
 
 
 def _unlike(learnt: Learnt, every: dict[int, Means], n: int) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from fusion_sfdia.core.rate import Rate, lasting
 from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.core.storage import read_arrays, write_arrays
 from fusion_sfdia.evaluation.diagnose import Diagnosis
+from fusion_sfdia.evaluation.events import with_unit
 from fusion_sfdia.learning.causes import causes
 from fusion_sfdia.learning.channels import Channels, learn_channels, pieces_of, usual_step
 from fusion_sfdia.learning.diagnosis import SECONDS, Verdicts, diagnosed, plant_of, verdicts_of
@@ -97,7 +98,7 @@ class Monitor:
             (float(p.t[0]), len(p.t), clock, name) for name, log, clock in zip(named, logs, clocks, strict=True) for p in log
         ]
         found = cls(channels, dt, stated, max(per_row, least), learnt, origin)
-        return cls(channels, dt, stated, found.per_row, learnt, origin, tuple(_remarks(found, rows, per_row, moments)))
+        return replace(found, remarks=tuple(_remarks(found, rows, per_row, moments)))
 
     @property
     def plant(self) -> Plant:
@@ -179,9 +180,9 @@ class Monitor:
             if sizes:
                 w = min(sizes, key=lambda k: sizes[k])
                 alone = self.learnt.limits.explained[i] < WITNESS
-                unit = "" if units[name] in ("", "1") else f" {units[name]}"
+                size = with_unit(f"{sizes[w]:.3g}", units[name])
                 lines.append(
-                    f"{name}: a lasting bias of {sizes[w]:.3g}{unit} is found within {lasting(w * self.dt)}"
+                    f"{name}: a lasting bias of {size} is found within {lasting(w * self.dt)}"
                     + ("; no other channel measures it, so sensor and process cannot be told apart" if alone else "")
                 )
         return "\n".join(lines)
@@ -189,14 +190,8 @@ class Monitor:
     def save(self, path: str | Path) -> None:
         """Write the monitor to one file; `Monitor.load` reads it."""
         arrays, learnt = packed(self.channels, self.learnt)
-        about = {
-            "dt": self.dt,
-            "rate": str(self.rate),
-            "per_row": self.per_row,
-            "healthy": self.healthy,
-            "remarks": self.remarks,
-        }
-        text = json.dumps({"version": VERSION, **about, "remarks": self.remarks, **learnt})
+        about = {"version": VERSION, "dt": self.dt, "rate": str(self.rate), "per_row": self.per_row}
+        text = json.dumps({**about, "healthy": self.healthy, "remarks": self.remarks, **learnt})
         write_arrays(Path(path), {"monitor": np.array(text), **arrays}, compress=True)
 
     @classmethod

@@ -66,11 +66,12 @@ class Means(NamedTuple):
 
     def without(self, channel: int) -> Means:
         """Without the readings of a channel."""
-        quarter = None if self.quarter is None else _blank(self.quarter, channel)
-        return Means(_blank(self.now, channel), quarter, _blank(self.before, channel))
+        quarter = None if self.quarter is None else blank(self.quarter, channel)
+        return Means(blank(self.now, channel), quarter, blank(self.before, channel))
 
 
-def _blank(a: Array, channel: int) -> Array:
+def blank(a: Array, channel: int) -> Array:
+    """What a (K, n) is without the readings of a channel."""
     a = a.copy()
     a[:, channel] = np.nan
     return a

@@ -13,7 +13,7 @@ x_M = -K_MM^-1 (K x)_M, their conditional mean.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -139,8 +139,13 @@ class Moments(NamedTuple):
     def of(cls, x: Array) -> Moments:
         return cls(float(len(x)), np.sum(x, axis=0), x.T @ x)
 
-    def plus(self, other: Moments) -> Moments:
-        return Moments(self.rows + other.rows, self.total + other.total, self.square + other.square)
+    @classmethod
+    def together(cls, parts: Sequence[Moments]) -> Moments:
+        """Of the rows of all parts."""
+        first, *others = parts
+        for m in others:
+            first = cls(first.rows + m.rows, first.total + m.total, first.square + m.square)
+        return first
 
     def covariance(self, centred: bool = False) -> Array:
         """About 0, or about their mean."""

@@ -79,7 +79,7 @@ def test_a_mean_needs_half_of_the_rows_of_its_window_and_has_the_same_bits_in_an
 def test_moments_add_up_and_incomplete_rows_count_by_conditional_means(covariance: Array) -> None:
     rng = np.random.default_rng(4)
     x = rng.multivariate_normal(np.zeros(2 * N), covariance, 4000) + 3.0
-    both = Moments.of(x[:1500]).plus(Moments.of(x[1500:]))
+    both = Moments.together([Moments.of(x[:1500]), Moments.of(x[1500:])])
     assert both.covariance(centred=True) == pytest.approx(np.cov(x.T, bias=True), abs=1e-9)
     assert both.mean == pytest.approx(x.mean(axis=0))
     x = x - 3.0
