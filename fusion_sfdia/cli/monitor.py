@@ -41,23 +41,28 @@ def _monitor(chosen: argparse.Namespace) -> int:
         raise ValueError("--inputs, --ignore, --false-alarm and --save are for learning; leave them out beside --monitor")
     if not (chosen.data or chosen.save):
         raise ValueError("state the log to diagnose with --data, or where to keep what is learnt with --save")
+    say = partial(print, file=sys.stderr if chosen.json else sys.stdout, flush=True)
     if chosen.data is None:
-        _learnt(chosen, partial(print, file=sys.stderr if chosen.json else sys.stdout, flush=True))
+        _learnt(chosen, _map(chosen), say)
         return 0
     out = chosen.out or Path("monitor") / chosen.data.stem
     with locked(out, force=chosen.force):
-        return _diagnose(chosen, out)
+        return _diagnose(chosen, out, say)
 
 
-def _learnt(chosen: argparse.Namespace, say: Any) -> Any:
+def _map(chosen: argparse.Namespace) -> Any:
+    from fusion_sfdia.logs.log_map import PLAIN_MAP, load_map
+
+    return load_map(chosen.map) if chosen.map else PLAIN_MAP
+
+
+def _learnt(chosen: argparse.Namespace, log_map: Any, say: Any) -> Any:
     """The monitor: read, or learnt and, where that is asked for, saved."""
     from fusion_sfdia.learning.monitor import FALSE_ALARM, Monitor
-    from fusion_sfdia.logs.log_map import PLAIN_MAP, load_map
     from fusion_sfdia.monitoring.logs import load, signals_of
 
     if chosen.monitor:
         return Monitor.load(chosen.monitor)
-    log_map = load_map(chosen.map) if chosen.map else PLAIN_MAP
     sensors, inputs = signals_of(chosen.healthy[0], chosen.inputs, chosen.ignore, log_map)
     loaded = [load(path, sensors, inputs, log_map) for path in chosen.healthy]
     for path, one in zip(chosen.healthy, loaded, strict=True):
@@ -73,19 +78,16 @@ def _learnt(chosen: argparse.Namespace, say: Any) -> Any:
     return monitor
 
 
-def _diagnose(chosen: argparse.Namespace, out: Path) -> int:
+def _diagnose(chosen: argparse.Namespace, out: Path, say: Any) -> int:
     from fusion_sfdia.core.files import all_or_none, atomic_write
     from fusion_sfdia.core.plain_text import plain
-    from fusion_sfdia.logs.log_map import PLAIN_MAP, load_map
     from fusion_sfdia.monitoring.logs import load
     from fusion_sfdia.report.log_page import About
     from fusion_sfdia.report.log_report import FILES, write_diagnosis
 
-    say = partial(print, file=sys.stderr if chosen.json else sys.stdout, flush=True)
-    monitor = _learnt(chosen, say)
-    data = load(
-        chosen.data, monitor.channels.sensors, monitor.channels.inputs, load_map(chosen.map) if chosen.map else PLAIN_MAP
-    )
+    log_map = _map(chosen)
+    monitor = _learnt(chosen, log_map, say)
+    data = load(chosen.data, monitor.channels.sensors, monitor.channels.inputs, log_map)
     say(f"{chosen.data}:\n{indent(str(data), '  ')}")
     with printed_warnings():
         found, log = monitor.diagnose(data.log, data.clock), monitor.on_grid(data.log)

@@ -203,8 +203,8 @@ class RobustBank(ExcludingBank):
         return used._replace(out_for=out_for, led=led, pairs=pairs)
 
     def _judge(self, memory: RobustMemory, now: TimeStep, y: Array, u: Array) -> tuple[RobustMemory, Decision]:
-        estimate, exclusion, out_for, led, usual, proposed, since_far, *windows, last, standing, pairs = memory[:12]
-        nis, noise, walk, look = memory[12:]
+        estimate, exclusion, out_for, led, usual, proposed, since_far, *windows, last, standing, pairs = memory[:-4]
+        nis, noise, walk, look = memory[-4:]
         of, count = self._hypotheses, y.shape[-1]
         stands = np.asarray(standing.accepted.any(axis=-1))
         begins = of.added > 0 and now.k <= START  # no verdict before what is uncertain has been learnt
@@ -246,11 +246,11 @@ class RobustBank(ExcludingBank):
             isolated, capped = eliminated(everything, of_whole, present, limits, room)
         by_windows = accepted(evidence, limits, np.asarray(~isolated.any(axis=-1)) & (not begins))
         usual = np.where(usable, np.where(everything.chi_square < USUAL_SQUARE * spread, usual + 1, 0.0), usual)
-        follows = usable & (1 - everything.weight * self.plant.sensor_sigma**2 > FOLLOWED)
-        of_process = whole & (np.sum(everything.chi_square > CLIP**2 * spread, axis=-1) > 1)  # it brought several far readings
         since_far = np.where((everything.chi_square > FAR_SQUARE * spread).any(axis=-1), 0.0, since_far + 1)
-        again = follows.any(axis=-1) & (since_far <= FOLLOWED_FOR) & ~of_process
-        by_windows, proposed = self._confirmed(by_windows, proposed, again, usable)
+        if by_windows.is_process.any() or proposed.any():
+            several = np.sum(everything.chi_square > CLIP**2 * spread, axis=-1) > 1  # far readings
+            again = (since_far <= FOLLOWED_FOR) & self._follows(everything, usable).any(axis=-1) & ~(whole & several)
+            by_windows, proposed = self._confirmed(by_windows, proposed, again, usable)
         used, found, leads = everything, counted.found, led
         led = np.where(usable, 0.0, leads)  # a sensor that has no reading now keeps its lead
         process, restart = by_windows.is_process, none
@@ -258,7 +258,7 @@ class RobustBank(ExcludingBank):
         if isolated.any() or by_windows.is_sensor.any() or process.any():
             capped = capped | (by_windows.is_sensor & (room < 1))
             sensor, soon = by_windows.is_sensor & (room > 0), stands & (standing.since <= LATELY)
-            spike = sensor & self._is_spike(tested, by_windows.sensor, usual, follows)
+            spike = sensor & self._is_spike(tested, by_windows.sensor, usual, self._follows(everything, usable))
             led = np.where(usable, led_by(leads, isolated, np.where(isolated, everything.innovation, 0.0)), leads)
             waits = isolated & (np.abs(led) < np.where(soon, PERSISTENT, TWICE)[..., None])
             isolated = (isolated & ~waits) | ((sensor & ~spike)[..., None] & one_hot(by_windows.sensor, count))
@@ -388,6 +388,10 @@ class RobustBank(ExcludingBank):
         np.einsum("...ii->...i", S)[...] += np.where(larger, np.exp(noise.size - LARGER) - 1, 0.0) * self.plant.sensor_cov
         return joint._replace(S=S, repeated=None)
 
+    def _follows(self, found: LeaveOneOut, usable: Array) -> Array:
+        """Whether the estimate follows so much of an innovation of a sensor (..., N) that one outlier moves it visibly."""
+        return np.asarray(usable & (1 - found.weight * self.plant.sensor_sigma**2 > FOLLOWED))
+
     def _is_spike(self, tested: Tested, sensor: Array, usual: Array, follows: Array) -> Array:
         """Whether a sensor (...) had an outlier: its onset is at most `BRIEF` samples ago, and its present reading as expected.
 
@@ -404,8 +408,6 @@ class RobustBank(ExcludingBank):
 
         In the runs `again` (...) holds one is accepted only where it was proposed before, too.
         """
-        if not (by_windows.is_process.any() or proposed.any()):
-            return by_windows, proposed
         some = np.asarray(usable.any(axis=-1))
         now = by_windows.is_process[..., None] & one_hot(by_windows.process, proposed.shape[-1])
         confirmed = by_windows.is_process & (~again | (some & value_at(proposed, by_windows.process)))
