@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from fusion_sfdia.data_driven.fixed_limits import FixedLimits
     from fusion_sfdia.data_driven.one_class import OneClass
     from fusion_sfdia.data_driven.pca import PrincipalComponents
+    from fusion_sfdia.frozen_model.frozen_bank import FrozenBank
     from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
     from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank
     from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals
@@ -114,6 +115,13 @@ def structural_residuals(plant: Plant, healthy: Any = None, false_alarm: float =
 
     modules_of(plant)  # refuses a plant without scalar equations before the simulation
     return StructuralResiduals.fit(plant, healthy_data(plant, false_alarm) if healthy is None else healthy, false_alarm)
+
+
+def frozen_model(plant: Plant, healthy: Any = None, false_alarm: float = FALSE_ALARM) -> FrozenBank:
+    """A frozen model commissioned on healthy readings, None for simulated runs."""
+    from fusion_sfdia.frozen_model.frozen_bank import FrozenBank
+
+    return FrozenBank.fit(plant, healthy_data(plant, false_alarm) if healthy is None else healthy, false_alarm)
 
 
 def bounded(plant: Plant) -> Detector:

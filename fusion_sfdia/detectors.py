@@ -68,6 +68,16 @@ register_detector(
     false_alarm=FALSE_ALARM,
 )
 register_detector(
+    "frozen-model",
+    "extended Kalman filter commissioned on healthy data and then frozen; means of its innovations over 1 to 240 samples, "
+    "with limits from blocks that were left out, are explained by one sensor, by one unknown of the model, or by neither",
+    "fusion_sfdia.builders:frozen_model",
+    memory="240 samples",
+    learns=True,
+    tests_process=True,
+    commissions=True,
+)
+register_detector(
     "mhe-l1",
     "extended Kalman filter with moving-horizon estimation (Rao, Rawlings and Lee 2001) of constant faults under an "
     "L1 penalty (Kim, Koh, Boyd and Gorinevsky 2009); horizons of 1, up to 7 and up to 14 samples",

@@ -66,7 +66,8 @@ class NamedDetector(NamedTuple):
     over which evidence of a fault accumulates; "" where it is not stated. source: "module:name" of what builds it. learns:
     whether build also takes `healthy` (readings, None for simulated ones) and `false_alarm` (a rate), as `named.fit` does.
     tests_process: whether it also tells faults of the process or errors of the model from those of sensors. most_faults: how
-    many sensors it isolates at once at most on any plant; None where only the plant limits it.
+    many sensors it isolates at once at most on any plant; None where only the plant limits it. commissions: whether it
+    commissions the plant by itself from the log of the real one; comparisons include it only where it is named.
     """
 
     name: str
@@ -77,6 +78,7 @@ class NamedDetector(NamedTuple):
     learns: bool = False
     tests_process: bool = False
     most_faults: int | None = None
+    commissions: bool = False
 
     @property
     def package(self) -> str:
@@ -116,6 +118,7 @@ def register_detector(
     learns: bool = False,
     tests_process: bool = False,
     most_faults: int | None = None,
+    commissions: bool = False,
     **settings: Any,
 ) -> Callable[[M], M]: ...
 @overload
@@ -128,6 +131,7 @@ def register_detector(
     learns: bool = False,
     tests_process: bool = False,
     most_faults: int | None = None,
+    commissions: bool = False,
     **settings: Any,
 ) -> M: ...
 def register_detector(
@@ -139,19 +143,22 @@ def register_detector(
     learns: bool = False,
     tests_process: bool = False,
     most_faults: int | None = None,
+    commissions: bool = False,
     **settings: Any,
 ) -> Any:
     """Register a detector: as a call with `build`, or as a decorator of a class or function.
 
     build(plant, **settings) returns the detector with its usual settings: its class, a function, or lazily the
-    "module:attribute" of one. Returns `build`. See NamedDetector for `memory`, `learns`, `tests_process`, `most_faults`.
+    "module:attribute" of one. Returns `build`. See NamedDetector for `memory`, `learns`, `tests_process`, `most_faults`,
+    `commissions`.
     ValueError for a name of another form than "kf-chi2" or "chebyshev:paper", and for one that is already registered.
     """
     if build is None:
-        given: dict[str, Any] = {"memory": memory, "learns": learns, "tests_process": tests_process, "most_faults": most_faults}
+        given: dict[str, Any] = {"memory": memory, "learns": learns, "tests_process": tests_process}
+        given |= {"most_faults": most_faults, "commissions": commissions}
         return partial(register_detector, name, about, **given, **settings)
     made = partial(deferred(build), **settings) if settings else deferred(build)
-    entry = NamedDetector(name, about, made, memory, source_of(build), learns, tests_process, most_faults)
+    entry = NamedDetector(name, about, made, memory, source_of(build), learns, tests_process, most_faults, commissions)
     enter(_DETECTORS, "detector", entry)
     return build
 
@@ -169,6 +176,11 @@ def detectors() -> dict[str, NamedDetector]:
     """All registered detectors by name, those of this package first; `build` of one that fails to load raises ValueError."""
     found: dict[str, NamedDetector] = _with_entry_points("detector", _own_detectors(), NamedDetector)
     return dict(sorted(found.items(), key=lambda item: item[1].package != OURS))
+
+
+def compared_detectors() -> dict[str, NamedDetector]:
+    """Those that a comparison of all detectors includes."""
+    return {name: entry for name, entry in detectors().items() if not entry.commissions}
 
 
 def find_plant(what: str | Plant | Callable[[], Plant] | NamedPlant) -> NamedPlant:

@@ -9,12 +9,13 @@ from fusion_sfdia.checks.readings import Healthy
 from fusion_sfdia.checks.require import require
 from fusion_sfdia.core.detector import Detector, ProcessHypothesis, run
 
-KINDS = ("parameter", "input", "state", "disturbance")
+KINDS = ("parameter", "input", "state", "disturbance", "unnamed", "outside")
+WITHOUT_SIZE = ("unnamed", "outside")
 
 
 def process_verdicts_have_numbers(detector: Detector, healthy: Healthy) -> None:
     """Of a detector with process_hypotheses: they are named apart from each other and from what it isolates; an accepted one
-    has a size and a standard deviation, another none; probabilities of exclusive hypotheses.
+    has a size and a standard deviation unless its kind has none, another none; probabilities of exclusive hypotheses.
     """
     tested = getattr(detector, "process_hypotheses", ())
     names_of_all = [*detector.hypotheses, *(h.name for h in tested)]
@@ -28,9 +29,10 @@ def process_verdicts_have_numbers(detector: Detector, healthy: Healthy) -> None:
     y[10:, 0, 0] += 30 * detector.plant.sensor_sigma[0]
     y[10:, 1] += 30 * detector.plant.sensor_sigma  # no single sensor explains it
     _, d = run(detector, detector.init((2,)), t, y, u)
+    sized = np.asarray(d.process) & np.array([h.kind not in WITHOUT_SIZE for h in tested])
     for what in ("process_size", "process_sd"):
-        assert_array_equal(np.isnan(getattr(d, what)), ~np.asarray(d.process), f"{what} is NaN just where nothing is accepted")
-    sd = np.asarray(d.process_sd)[np.asarray(d.process)]
+        assert_array_equal(np.isnan(getattr(d, what)), ~sized, f"{what} is NaN just where nothing that has one is accepted")
+    sd = np.asarray(d.process_sd)[sized]
     require(np.all((sd >= 0) & np.isfinite(sd)), "standard deviations are finite and not negative", sd)
     probability = np.asarray(d.probability)[~d.diverged]
     require(np.all((probability >= 0) & (probability <= 1)), "probabilities are from 0 to 1", probability)

@@ -35,6 +35,7 @@ def add_tune(commands: Any) -> None:
     add_detector(one)
     add_columns(one)
     one.add_argument("--out", type=Path, default=Path("tuned.toml"), metavar="TUNED.toml", help="(default: tuned.toml)")
+    one.add_argument("--strict", action="store_true", help="refuse a log with readings that are not healthy")
     one.add_argument("--force", action="store_true", help="replace a file that is there")
     one.add_argument("--json", action="store_true", help="print the figures as JSON")
     one.set_defaults(work=_tune)
@@ -131,6 +132,7 @@ def _tuned(chosen: argparse.Namespace) -> int:
         *(one.log for one in logs),
         false_alarm=chosen.false_alarm,
         detector=chosen.detector or DEFAULT_DETECTOR,
+        strict=chosen.strict,
         sources=[Source(str(path), one.clock) for path, one in zip(chosen.healthy, logs, strict=True)],
         made=date.today().isoformat(),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,15 +48,24 @@ def require_readings(plant: Plant, log: Log) -> None:
             )
 
 
-def require_moving(plant: Plant, log: Log, at: At) -> None:
-    """Raise ValueError for a sensor that repeats a reading too often to be alive.
+class Still(NamedTuple):
+    """Rows from first to last of a run, in which a sensor repeats a reading."""
+
+    sensor: int
+    run: int
+    first: int
+    last: int
+
+
+def still(log: Log) -> list[Still]:
+    """For each sensor that repeats a reading too often to be alive, its longest run of equal readings y (K, B, N).
 
     Of M readings of which a share q repeats the one before, a run of L repeats has a probability of at most M q^L where they
     come independently; q counts the sensor's repeats but those of its longest run, and one more. What coarse readings repeat
     depends on where in a step the variable is: a frozen one also repeats `CLUSTERED` times as often as in any other run.
     """
-    y = log.y
-    for i, sensor in enumerate(plant.sensors):
+    y, found = log.y, []
+    for i in range(y.shape[-1]):
         same = y[1:, :, i] == y[:-1, :, i]
         steps = np.arange(len(same))[:, None]
         run = steps - np.maximum.accumulate(np.where(same, -1, steps), axis=0)
@@ -65,10 +74,17 @@ def require_moving(plant: Plant, log: Log, at: At) -> None:
         others = np.where((steps > end - most) & (steps <= end) & (np.arange(same.shape[1]) == of), 0, run)
         share = (np.sum(same) - most + 1) / (many - most + 1)
         if most > max(1, CLUSTERED * int(np.max(others))) and many * share**most < REFUSED:
-            raise ValueError(
-                f"sensor {sensor.name!r} shows the same reading {most + 1} times in a row in the healthy log, until "
-                f"{at(end + 1, of)}: it is frozen; repair it, or leave these readings out (NaN)"
-            )
+            found.append(Still(i, of, end + 1 - most, end + 1))
+    return found
+
+
+def require_moving(plant: Plant, log: Log, at: At) -> None:
+    """Raise ValueError for a sensor that repeats a reading too often to be alive, see `still`."""
+    for i, run, first, last in still(log):
+        raise ValueError(
+            f"sensor {plant.sensors[i].name!r} shows the same reading {last - first + 1} times in a row in the healthy log, "
+            f"until {at(last, run)}: it is frozen; repair it, or leave these readings out (NaN)"
+        )
 
 
 def require_no_fault(plant: Plant, seen: Windows, ends: Array, at: At) -> None:

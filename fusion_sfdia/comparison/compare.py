@@ -187,7 +187,7 @@ def compare(
     ]
     for name in by_name:
         require_known("plant", name, [p.name for p in found])
-    of_detectors = [compared_detector(what) for what in _each(detectors, registry.detectors())]
+    of_detectors = [compared_detector(what) for what in _each(detectors, registry.compared_detectors())]
     subjects = Subjects(_named("plant", found), _named("detector", of_detectors))
     given: dict[str, Setting] = dict(settings)
     for kind, names in (("plants", tuple(subjects.plants)), ("detectors", tuple(subjects.detectors))):

@@ -37,7 +37,7 @@ RUNS_PER_SEED = 3  # of a calibration, where its error is not set
 
 SETTINGS = {
     "plants": tuple(registry.plants()),
-    "detectors": tuple(registry.detectors()),
+    "detectors": tuple(registry.compared_detectors()),
     "faults": KINDS,
     "magnitudes": (1.0, 3.0, 10.0, 30.0),  # of the sensor's noise
     "lengths": (2, 5, 30, 120),  # samples: of biases of a small and a large size, beside each other

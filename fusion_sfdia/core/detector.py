@@ -30,8 +30,9 @@ class MissingPackageError(NotApplicableError, ModuleNotFoundError):
 class ProcessHypothesis(NamedTuple):
     """Something of the plant that may differ from the model.
 
-    kind: "parameter", "input" (a constant error of it), "state" (its equation errs) or "disturbance". nominal: the value of the
-    model, in the unit; NaN where there is none.
+    kind: "parameter", "input" (a constant error of it), "state" (its equation errs), "disturbance", "unnamed" (something
+    else of the process, or several causes) or "outside" (operation as in no healthy log). nominal: the value of the model, in
+    the unit; NaN where there is none.
     """
 
     name: str

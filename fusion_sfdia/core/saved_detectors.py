@@ -28,6 +28,7 @@ FOLDERS = (  # those of detectors and their settings
     "core",
     "data_driven",
     "filters",
+    "frozen_model",
     "intervals",
     "kalman_banks",
     "monitoring",

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.detector import Decision
+from fusion_sfdia.core.detector import Decision, ProcessHypothesis
 
 Array = NDArray[Any]
 
@@ -66,8 +67,8 @@ def far_off(decision: Decision, threshold_scale: float = 1.0) -> Array:
     return np.asarray(np.all(far | ~known, axis=-1) & (np.sum(known, axis=-1) > 1) & ~decision.diverged)
 
 
-def conclusion_of(decision: Decision, y: Array) -> Conclusion:
-    """What the Decision of one sample of one run says; y (N,): its readings, NaN where missing."""
+def conclusion_of(decision: Decision, y: Array, tested: Sequence[ProcessHypothesis] = ()) -> Conclusion:
+    """What the Decision of one sample of one run says; y (N,): its readings, NaN where missing. tested: what of the process."""
     known = np.isfinite(decision.residual) & ~np.isnan(decision.threshold)  # as in `judged`, here for many single samples
     if decision.diverged or not known.any():
         return Conclusion(Verdict.BLIND, _why_blind(decision, y))
@@ -76,7 +77,13 @@ def conclusion_of(decision: Decision, y: Array) -> Conclusion:
         return Conclusion(Verdict.UNDECIDED, ALL_FAR)
     if np.any(decision.capped):
         return Conclusion(Verdict.UNDECIDED, TOO_MANY)
-    if (decision.process is not None and decision.process.any()) or decision.isolated[y.size :].any():
+    if decision.process is not None and decision.process.any():
+        kinds = {h.kind for h, accepted in zip(tested, decision.process, strict=True) if accepted} if tested else {"process"}
+        if kinds != {"outside"}:
+            return Conclusion(Verdict.PROCESS)
+        if not decision.isolated.any():
+            return Conclusion(Verdict.OUTSIDE, "no healthy log has such an operation")
+    if decision.isolated[y.size :].any():
         return Conclusion(Verdict.PROCESS)
     if decision.isolated.any():
         return Conclusion(Verdict.SENSOR)

@@ -116,6 +116,28 @@ class ProcessEvent(Event):
 
 
 @dataclass(frozen=True)
+class UnnamedEvent(Event):
+    """From start to end (s) readings differ from the model as neither one sensor nor one of its unknowns explains."""
+
+    kind: ClassVar[str] = "process"
+
+    def told(self, clock: Clock) -> str:
+        """The event in words, with the times of a clock."""
+        return f"process {self.when(clock)}: no single sensor and no single unknown of the model explains the readings"
+
+
+@dataclass(frozen=True)
+class OperationEvent(Event):
+    """From start to end (s) operation was as in no healthy log, so that what looks wrong may be right."""
+
+    kind: ClassVar[str] = "outside"
+
+    def told(self, clock: Clock) -> str:
+        """The event in words, with the times of a clock."""
+        return f"{self.hypothesis} {self.when(clock)}: what looks wrong may be right there"
+
+
+@dataclass(frozen=True)
 class UndecidedEvent(Event):
     """An alarm from start to end (s) that no hypothesis explains clearly better than others; it has no size.
 
@@ -128,6 +150,9 @@ class UndecidedEvent(Event):
     def told(self, clock: Clock) -> str:
         """The event in words, with the times of a clock."""
         return f"{unsure(self.suspects)}, {self.when(clock)}"
+
+
+WITHOUT_SIZE: dict[str, type[Event]] = {"unnamed": UnnamedEvent, "outside": OperationEvent}  # kinds of process hypotheses
 
 
 def events_of(detector: Detector, t: Array, decisions: Decision, gap: int) -> tuple[Event, ...]:
@@ -154,6 +179,9 @@ def _process(tested: Sequence[ProcessHypothesis], t: Array, decisions: Decision,
     found: list[Event] = []
     for j, h in enumerate(tested):
         for a, b in spans(decisions.process[:, j], gap):
+            if (kind := WITHOUT_SIZE.get(h.kind)) is not None:
+                found.append(kind(h.name, *_when(t, a, b), float("nan"), "", b == len(t) - 1))
+                continue
             size, sd = (median(values[a : b + 1, j]) for values in (decisions.process_size, decisions.process_sd))
             found.append(ProcessEvent(h.name, *_when(t, a, b), size, h.unit, b == len(t) - 1, sd, h.nominal))
     return sorted(found, key=lambda e: (e.start, e.hypothesis))

@@ -122,7 +122,7 @@ class Changes:
         _, start, last, _ = self.standing[i]
         times, decisions = zip(*((t, d) for t, d in self.recent if start <= t <= last), strict=True)
         sensors, tested = len(self.detector.hypotheses), getattr(self.detector, "process_hypotheses", ())
-        kinds = ("sensor", "other") if i < sensors else ("process",) if i < sensors + len(tested) else ("undecided",)
+        kinds = ("sensor", "other") if i < sensors else ("process", "outside") if i < sensors + len(tested) else ("undecided",)
         names = [*self.detector.hypotheses, *(h.name for h in tested)]
         found = events_of(self.detector, np.array(times), stack(list(decisions)), KEPT + 1)
         event = next(e for e in found if e.kind in kinds and (i >= len(names) or e.hypothesis == names[i]))

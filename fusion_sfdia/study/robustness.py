@@ -26,7 +26,7 @@ SEEDS = 24
 SETTINGS = {
     "plants": ("two-tanks", "marine-engine", "gas-pipeline", "power-network"),
     "random_plants": (9101, 9102, 9103),  # seeds
-    "detectors": tuple(registry.detectors()),
+    "detectors": tuple(registry.compared_detectors()),
     "groups": (*GROUPS, OF_PLANT),
     "rows": STEPS,
     "first_seed": 8000,  # those of a run are fresh: nothing was chosen on them; below 1000 to choose something

@@ -26,6 +26,7 @@ from fusion_sfdia.core.rate import Rate, lasting
 from fusion_sfdia.core.silent import require_scale, silent, silent_scores
 from fusion_sfdia.tuning.delays import Delays, delays
 from fusion_sfdia.tuning.drift import require_no_drift
+from fusion_sfdia.tuning.frozen import tuned_frozen
 from fusion_sfdia.tuning.remarks import remarks
 from fusion_sfdia.tuning.runs import as_even_runs
 from fusion_sfdia.tuning.stationary import require_stationary
@@ -49,13 +50,16 @@ def tune(
     *healthy: Any,
     false_alarm: str | float | Rate = "1/day",
     detector: str = registry.DEFAULT_DETECTOR,
+    strict: bool = False,
     sources: Sequence[Source] = (),
     made: str = "",
 ) -> Tuned:
     """Tune a plant and a detector on healthy readings of the real plant.
 
     healthy: logs, each as `as_log` takes it in one argument, of one run or several. false_alarm: samples in alarm, such as
-    "1/day" or 1e-3 (per sample), see `Rate`. detector: a registered name, or a reference such as "mine.py:MyDetector".
+    "1/day" or 1e-3 (per sample), see `Rate`. detector: a registered name, or a reference such as "mine.py:MyDetector". One that
+    commissions the plant by itself, "frozen-model", leaves readings that are not healthy out, and lists them (`quality`),
+    unless strict: then they raise ValueError, as for all others.
     sources: where each log comes from, made: the date, both for the file alone.
     ValueError, with the reason, for readings that cannot carry it: too short for the plant or the rate, a fault among them, not
     stationary; NotApplicableError where the detector does not apply to the plant.
@@ -64,6 +68,13 @@ def tune(
     logs = [_runs(as_runs(plant, (one,))) for one in healthy]
     origin = list(sources) or [Source(f"readings {i + 1}") for i in range(len(logs))]
     each, moments = [run for runs in logs for run in runs], _moments(logs, origin)
+    if entry.commissions:
+        log, times, of = as_even_runs(plant, each)
+        frozen = tuned_frozen(plant, log, partial(_at, times, of, moments), rate, strict)
+        per_sample = frozen.detector.fitted_rate
+        used = {"name": entry.name, "threshold_scale": frozen.detector.threshold_scale, "false_alarm": str(rate)}
+        document = {"plant": plant_table(plant), "detector": used | {"per_sample": per_sample}, **frozen.tables}
+        return Tuned(document | _provenance(origin, logs, made) | {"quality": frozen.quality}, frozen.detector, entry)
     for run, moment in zip(each, moments, strict=True):
         require_moving(plant, as_runs(plant, (run,)), partial(_at, run.t[:, None], (0,), [moment]))
     log, times, of = as_even_runs(plant, each)
@@ -101,21 +112,23 @@ def tune(
     for i, row in enumerate(tables["sensors"].values()):
         row |= {f"delay_{size:g}": float(late.delay[s, i]) for s, size in enumerate(late.sizes)}
     used = {"name": entry.name, "threshold_scale": scale, "false_alarm": str(rate), "per_sample": per_sample} | digest
-    provenance = {
-        "healthy": [
-            {
-                "file": s.name,
-                "rows": sum(len(r.t) for r in runs),
-                "from": s.clock.at(float(runs[0].t[0])),
-                "to": s.clock.at(float(runs[0].t[-1])),
-            }
-            for s, runs in zip(origin, logs, strict=True)
-        ],
-        "made": {"version": __version__, "date": made},
-    }
     quality = _quality(found, log, limit, counted(parts, across), late, rate, dt)
     document = {"plant": tables["plant"], "detector": used, **{k: v for k, v in tables.items() if k != "plant"}}
-    return Tuned(document | provenance | {"quality": quality}, final if entry.learns else None, entry)
+    return Tuned(document | _provenance(origin, logs, made) | {"quality": quality}, final if entry.learns else None, entry)
+
+
+def _provenance(origin: Sequence[Source], logs: Sequence[Sequence[Log]], made: str) -> dict[str, Any]:
+    """From which logs, by which version, and when."""
+    healthy = [
+        {
+            "file": s.name,
+            "rows": sum(len(r.t) for r in runs),
+            "from": s.clock.at(float(runs[0].t[0])),
+            "to": s.clock.at(float(runs[0].t[-1])),
+        }
+        for s, runs in zip(origin, logs, strict=True)
+    ]
+    return {"healthy": healthy, "made": {"version": __version__, "date": made}}
 
 
 def _runs(log: Log) -> list[Log]:

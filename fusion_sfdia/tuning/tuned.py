@@ -47,6 +47,7 @@ COMMENTS = {
     "slow_share: of its variance, with slow_time_constant (s); delay of a bias of so many sigma (s, see quality).",
     "process_noise": "Factor on the standard deviation that the plant states, of all states of a unit.",
     "parameters": "Estimates with standard deviation, and what the plant states.",
+    "commissioned": "Values at which the model is frozen, and what the plant states.",
     "disturbance": "A direction of mismatch (state: units of the states; reading: of the sensors): its mean is an offset.\n"
     "moves: what it moves most, in words.",
     "start": "Where runs begin: a state, and the variance of first states about it.",

@@ -14,12 +14,13 @@ def as_text(tuned: Tuned) -> str:
     q, d = tuned.quality, tuned.document
     achieved = q["achieved"]
     low, high = q["threshold_interval"]
+    judged = "blocks that were not learnt" if "commissioned" in d else "each half with thresholds of the other"
     runs = f", in {q['runs']} runs" if q["runs"] > 1 else ""
     lines = [
         f"{tuned.detector_name} on {d['plant']['name']}, {q['samples']} healthy samples after {q['settle']} to settle{runs}",
         f"false alarms: {tuned.rate} stated, {q['expected_above']:.3g} samples in alarm expected in this log",
         f"  thresholds times {tuned.threshold_scale:.3g}, 95 % interval {low:.3g} to {high:.3g}, {q['threshold']}",
-        f"  each half with thresholds of the other: {achieved['rate']} ({achieved['low']} to {achieved['high']}), "
+        f"  {judged}: {achieved['rate']} ({achieved['low']} to {achieved['high']}), "
         f"{achieved['samples_above']} samples in {achieved['alarms']} alarms",
     ]
     if q["expected_above"] < 1:
@@ -29,7 +30,14 @@ def as_text(tuned: Tuned) -> str:
         )
     lines.append(f"learnt: {', '.join(q['learnt']) or 'nothing, the plant predicts this log as it is'}")
     lines += [f"  {line}" for line in _learnt(d)]
-    lines += [
+    return "\n".join([*lines, *_predictions(q, d), *(f"note: {remark}" for remark in q["remarks"])])
+
+
+def _predictions(q: dict[str, Any], d: dict[str, Any]) -> list[str]:
+    """How well the plant predicts, and the delays, where that was counted."""
+    if "nis" not in q:
+        return []
+    lines = [
         f"predictions: NIS {q['nis']:.3f} (1 if right), was {q['nis_before']:.3f}",
         f"  whiteness: {100 * q['coloured']:.1f} % of autocorrelations outside their 95 % bands (5 if white), was "
         f"{100 * q['coloured_before']:.1f} %",
@@ -45,7 +53,7 @@ def as_text(tuned: Tuned) -> str:
         lines.append(
             f"  10 sigma of {', '.join(late[:8])}{f' and {len(late) - 8} more' * (len(late) > 8)} is not detected in time"
         )
-    return "\n".join([*lines, *(f"note: {remark}" for remark in q["remarks"])])
+    return lines
 
 
 def _delay(seconds: float) -> str:
@@ -58,6 +66,11 @@ def _learnt(d: dict[str, Any]) -> list[str]:
         + (f" {row['unit']}" if row["unit"] != "1" else "")
         for name, row in d.get("parameters", {}).items()
         if abs(row["value"] - row["stated"]) > row["stated_sd"] or row["sd"] < row["stated_sd"] / 2
+    ]
+    lines += [
+        f"{name}: {row['value']:.5g}, stated {row['stated']:.5g} +- {row['stated_sd']:.2g}"
+        + (f" {row['unit']}" if row["unit"] != "1" else "")
+        for name, row in d.get("commissioned", {}).items()
     ]
     lines += [f"process noise of states in {unit}: times {f:.3g}" for unit, f in d.get("process_noise", {}).items()]
     for name, row in d["sensors"].items():

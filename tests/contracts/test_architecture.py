@@ -11,7 +11,14 @@ from pathlib import Path
 import pytest
 from kernels import NOT_NUMERICAL
 
-SCHOOLS = ("kalman_banks", "adaptive_thresholds", "stochastic_thresholds", "data_driven", "structural_residuals")
+SCHOOLS = (
+    "kalman_banks",
+    "adaptive_thresholds",
+    "stochastic_thresholds",
+    "data_driven",
+    "structural_residuals",
+    "frozen_model",
+)
 # the folders of fusion_sfdia and its modules, and what each imports besides its own: no school imports another
 FOLDERS: dict[str, set[str]] = {
     "core": {"logs"},  # for pandas frames, once one is given
@@ -19,6 +26,7 @@ FOLDERS: dict[str, set[str]] = {
     "intervals": set(),
     "filters": {"core"},
     "commissioning": {"core", "filters"},
+    "frozen_model": {"core", "filters", "commissioning"},
     "kalman_banks": {"core", "filters"},
     "adaptive_thresholds": {"core", "intervals"},
     "stochastic_thresholds": {"core", "filters"},
@@ -34,7 +42,7 @@ FOLDERS: dict[str, set[str]] = {
     "models": {"core", "evaluation", "registry"},
     "builders": {"core", "filters", "evaluation", "detectors", *SCHOOLS},
     "named": {"core", "evaluation", "logs", "registry", "builders", "detectors"},
-    "tuning": {"core", "commissioning", "registry"},
+    "tuning": {"core", "commissioning", "frozen_model", "registry"},
     "checks": {"core", "evaluation", "registry"},
     "report": {"core", "evaluation", "logs"},
     "live": {"core", "filters", "evaluation", "logs"},

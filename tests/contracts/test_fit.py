@@ -28,7 +28,7 @@ PLANT = "two-tanks"
 RATE = 0.02
 STEPS, SETTLED = 80, 20
 LEARN = {f"fusing-{kind}" for kind in ("ekf", "ukf", "enkf")}
-LEARN |= {"limits", "limits-ewma", "pca", "dynamic-pca", "one-class", "structural-residuals"}
+LEARN |= {"frozen-model", "limits", "limits-ewma", "pca", "dynamic-pca", "one-class", "structural-residuals"}
 every_detector = pytest.mark.parametrize("name", REGISTERED)
 
 

@@ -1,0 +1,45 @@
+"""Means of errors over the last rows, and what a single cause explains of them.
+
+Over the last w rows: m, the mean of the errors; D, the mean of their derivatives with respect to the causes; phi, that of the
+regressors. With S the covariance of m in healthy operation and g >= 1, by which it grows away from it,
+
+    T = m' S^-1 m / g,    J_h = (D_h' S^-1 m)^2 / (g D_h' S^-1 D_h),    size_h = D_h' S^-1 m / D_h' S^-1 D_h
+
+T is the generalised likelihood ratio of any change of the mean, J_h that of cause h alone: T - J_h is what h leaves.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.filters.gaussian import half_inverse
+
+Array = NDArray[Any]
+
+WINDOWS = (1, 3, 10, 60, 240)  # rows
+KNOWN = 0.5  # least share of the rows of a window with a reading
+TINY = np.finfo(float).tiny
+
+
+class Spread(NamedTuple):
+    """The covariance S (N, N) of means, with U, S^-1 = U U'."""
+
+    half: Array
+    cov: Array
+
+
+def explained(spread: Spread, m: Array, known: Array, by_cause: Array, g: Array) -> tuple[Array, Array, Array, Array]:
+    """T (...), J, size and D' S^-1 D (..., M) of means m (..., N), of readings known (..., N), with D (..., N, M); g (...)."""
+    if known.all():
+        half = spread.half
+    else:
+        half = half_inverse(np.broadcast_to(spread.cov, (*m.shape, m.shape[-1])), known)
+    back = np.swapaxes(half, -1, -2)
+    white = (back @ np.where(known, m, 0.0)[..., None])[..., 0]
+    effect = back @ np.where(known[..., None], by_cause, 0.0)
+    along = (np.swapaxes(effect, -1, -2) @ white[..., None])[..., 0]
+    power = np.maximum(np.sum(effect**2, axis=-2), TINY)
+    return np.sum(white**2, axis=-1) / g, along**2 / power / g[..., None], along / power, power

@@ -1,0 +1,132 @@
+"""Tuning of the frozen model: what is unhealthy is left out and listed, so that there always is a result.
+
+The detector commissions the plant itself (`frozen_model`), in a few passes over stretches of the log side by side. Readings of
+a sensor that stands still, and blocks of rows that are unlike all others, are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.commissioning.refusals import still
+from fusion_sfdia.core.log import Log
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.rate import Rate
+from fusion_sfdia.frozen_model.commissioned_model import Learnt, commissioned_without_faults
+from fusion_sfdia.frozen_model.frozen_bank import FrozenBank
+from fusion_sfdia.frozen_model.frozen_filter import unknowns
+from fusion_sfdia.frozen_model.windows import WINDOWS
+from fusion_sfdia.tuning.tail import counted, threshold
+
+Array = NDArray[Any]
+
+FAR = 3.0  # prior standard deviations of an unknown, beyond which it is remarked on
+UNLIKE = 1.0  # times the limit of T, beyond which a block is listed though it was learnt from
+
+
+class Frozen(NamedTuple):
+    """The tuned detector, what was left out, in words, and tables and figures of the file."""
+
+    detector: FrozenBank
+    left_out: list[str]
+    tables: dict[str, Any]
+    quality: dict[str, Any]
+
+
+def tuned_frozen(plant: Plant, log: Log, at: Callable[[int, int], str], rate: Rate, strict: bool) -> Frozen:
+    """Commission the frozen model on runs y (K, B, N); at: the time of a row of a run in words.
+
+    ValueError where rows are too few for the plant; with strict also where any have to be left out.
+    """
+    dt = float(np.median(np.diff(log.t)))
+    log, left_out = _moving(plant, log, at)
+    learnt, unlike = commissioned_without_faults(plant, log)
+    left_out += [
+        f"all readings from {at(a, b)} to {at(z, b)}: {np.sqrt(times):.2g} times as far off as in the rest of the log"
+        for b, a, z, times in unlike
+    ]
+    if strict and left_out:
+        raise ValueError("the healthy log has readings that are not healthy: " + "; ".join(left_out))
+    scores = [np.sqrt(learnt.held_out)[:, None]]
+    limit = threshold(scores, rate.per_sample(dt))
+    scale = limit.scale if limit.counted else max(limit.scale, min(limit.high, 1.0))
+    detector = FrozenBank(plant, frozen=learnt.frozen, threshold_scale=scale, fitted_rate=rate.per_sample(dt))
+    count = counted(scores, scale)
+    remarks = [f"left out: {reason}" for reason in left_out]
+    remarks += [
+        f"from {at(a, b)} to {at(z, b)} readings are {np.sqrt(times):.2g} times as far off as elsewhere: an operation that the "
+        "log has once, or a fault"
+        for b, a, z, times in learnt.unlike
+        if times > UNLIKE
+    ]
+    remarks += _of_unknowns(plant, learnt)
+    if short := [w for w, one in zip(WINDOWS, learnt.frozen.limit, strict=True) if np.isinf(one)]:
+        remarks.append(f"the log is too short for windows of {short[0]} rows: drifts that are slower are not seen")
+    names = [h.name for h in unknowns(plant)]
+    known = plant.uncertainty
+    sd = [*known.sd, *(known.inputs[s.name] for s in plant.inputs if s.name in known.inputs)]
+    commissioned = {
+        name: {"value": float(v), "stated": float(h.nominal), "stated_sd": float(s), "unit": h.unit}
+        for name, v, s, h in zip(names, learnt.frozen.values, sd, unknowns(plant), strict=True)
+    }
+    corrected = bool((learnt.frozen.coef[:, 1:] != 0).any())
+    quality = {
+        "samples": int(learnt.held_out.size),
+        "runs": int(log.y.shape[1]),
+        "settle": learnt.frozen.settle,
+        "learnt": ["unknowns"] * bool(names) + ["errors of the equations by operation"] * corrected,
+        "threshold": "counted" if limit.counted else "extrapolated by a generalised Pareto tail",
+        "threshold_interval": [limit.low, limit.high],
+        "expected_above": limit.expected,
+        "achieved": {
+            "rate": str(rate.same(count.rate, dt)) if count.rate else "0",
+            "low": str(rate.same(count.low, dt)) if count.low else "0",
+            "high": str(rate.same(count.high, dt)),
+            "samples_above": count.above,
+            "alarms": count.alarms,
+        },
+        "remarks": remarks,
+    }
+    tables = {"sensors": _sensors(plant, learnt), "commissioned": commissioned}
+    return Frozen(detector, left_out, tables, quality)
+
+
+def _moving(plant: Plant, log: Log, at: Callable[[int, int], str]) -> tuple[Log, list[str]]:
+    """The log without readings of sensors that stand still, and which these are."""
+    left_out = []
+    for _ in range(len(plant.sensors)):
+        found = still(log)
+        if not found:
+            break
+        y = log.y.copy()
+        for i, run, first, last in found:
+            y[first : last + 1, run, i] = np.nan
+            left_out.append(
+                f"{plant.sensors[i].name} from {at(first, run)} to {at(last, run)}: the same reading {last - first + 1} times"
+            )
+        log = log._replace(y=y)
+    seen = np.any(np.isfinite(log.y), axis=(0, 1)).tolist()
+    none = [s.name for s, known in zip(plant.sensors, seen, strict=True) if not known]
+    return log, left_out + [f"{name}: it has no reading" for name in none]
+
+
+def _of_unknowns(plant: Plant, learnt: Learnt) -> list[str]:
+    known = plant.uncertainty
+    sd = np.array([*known.sd, *(known.inputs[s.name] for s in plant.inputs if s.name in known.inputs)])
+    away = [(h.name, abs(v - h.nominal) / s) for h, v, s in zip(unknowns(plant), learnt.frozen.values, sd, strict=True)]
+    return [f"{name} is {a:.1f} of its stated deviations off: check its value, and the units" for name, a in away if a > FAR]
+
+
+def _sensors(plant: Plant, learnt: Learnt) -> dict[str, Any]:
+    """Of each sensor the noise that is stated, and the standard deviation of its errors over each window that has a limit."""
+    spread = np.sqrt(np.diagonal(learnt.frozen.cov, axis1=1, axis2=2))
+    has_limit = np.isfinite(learnt.frozen.limit)
+    return {
+        s.name: {"sigma": s.noise_sigma, "stated": s.noise_sigma, "unit": s.unit}
+        | {f"error_{w}": float(e[i]) for w, e, known in zip(WINDOWS, spread, has_limit, strict=True) if known}
+        for i, s in enumerate(plant.sensors)
+    }
