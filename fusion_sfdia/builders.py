@@ -33,6 +33,7 @@ Array = NDArray[Any]
 
 CALIBRATION_SEEDS = range(900_000, 900_020)  # used by no campaign
 CALIBRATION_STEPS = 360
+FEW = 8  # runs from which a frozen model is commissioned: its limits are of blocks, not of single samples
 WARM_UP = 60  # samples: the printed filters converge slowly
 PAPER_PROCESS = {
     "gas-pipeline": 0.9
@@ -121,7 +122,11 @@ def frozen_model(plant: Plant, healthy: Any = None, false_alarm: float = FALSE_A
     """A frozen model commissioned on healthy readings, None for simulated runs."""
     from fusion_sfdia.frozen_model.frozen_bank import FrozenBank
 
-    return FrozenBank.fit(plant, healthy_data(plant, false_alarm) if healthy is None else healthy, false_alarm)
+    if healthy is None:
+        runs = max(FEW, int(np.ceil(2 / false_alarm / CALIBRATION_STEPS)))
+        seeds = range(CALIBRATION_SEEDS.start, CALIBRATION_SEEDS.start + runs)
+        healthy = simulate(plant, CALIBRATION_STEPS, seeds, process_noise=plant.truth.disturbed)
+    return FrozenBank.fit(plant, healthy, false_alarm)
 
 
 def bounded(plant: Plant) -> Detector:

@@ -32,6 +32,7 @@ ROUNDS = 3  # of Gauss and Newton
 STEP, FARTHEST = 1.5, 4.0  # prior standard deviations: of a round, and in all
 MEAN_OF, FIT_OF = 60, 10  # rows
 LEFT_OUT = 4.0  # times the limit of T: a block beyond it is not learnt from
+UNSURE = 4.0  # times its usual variance, from which on an innovation is not used
 OUTLYING = 5.0  # robust standard deviations of such a logarithm, from which on a block is unlike the others
 RIDGES = (0.001, 0.01, 0.1, 1.0)
 GAIN = 0.3  # by which the logarithm of the held-out covariance's determinant must fall for each sensor
@@ -52,7 +53,8 @@ class Frozen(NamedTuple):
     values (p,). coef B (N, q); mean, scale (q,) of the regressors; whiten W (q, q), W W' the inverse of their second moment;
     low, high (q,): their range, infinite where no error depends on them.
     cov (W, N, N), kappa (W,), limit (W,) of each window, inf where the log is too short for it. share (N,): of the rows in
-    which a sensor has a reading. repeats (N,): the longest run of equal readings. settle: rows without a verdict.
+    which a sensor has a reading. variance (N,): of its innovation, the median. repeats (N,): the longest run of equal readings.
+    settle: rows without a verdict.
     """
 
     values: Array
@@ -66,6 +68,7 @@ class Frozen(NamedTuple):
     kappa: Array
     limit: Array
     share: Array
+    variance: Array
     repeats: Array
     settle: int
 
@@ -131,6 +134,7 @@ class Pass(NamedTuple):
     """
 
     innovation: Array
+    variance: Array
     x: Array
     means: Array
     by_unknown: Array
@@ -161,8 +165,17 @@ def commissioned(plant: Plant, log: Log) -> Learnt:
         values = prior + sd * np.clip((values - prior) / sd + np.clip(change, -STEP, STEP), -FARTHEST, FARTHEST)
         start = _starts(found, parts, settle)
     found = _filtered(FrozenFilter(plant, values, of_sensors=False), parts, settle, start)
-    blocks = _blocks(found, parts, settle)
-    return _learnt(plant, parts, blocks, values, settle)
+    variance = np.median(found.variance[settle:], axis=(0, 1))
+    sure = np.where(unsure(found.variance, variance), np.nan, found.innovation)
+    blocks = _blocks(found._replace(innovation=sure), parts, settle)
+    if len(blocks) < 2:
+        raise ValueError(f"the healthy log of plant {plant.name!r} has readings in {len(blocks)} part of it; give a longer log")
+    return _learnt(plant, parts, blocks, Unknown(values, variance), settle)
+
+
+def unsure(now: Array, usual: Array) -> Array:
+    """Whether variances (..., N) of innovations are so large that these say little, as after a gap."""
+    return np.asarray(now > UNSURE * usual)
 
 
 def commissioned_without_faults(plant: Plant, log: Log) -> tuple[Learnt, tuple[Unlike, ...]]:
@@ -214,7 +227,7 @@ def _filtered(filter_: FrozenFilter, parts: Stretches, settle: int, start: Array
         x = now.core.x.copy()
         x[:, :n] = np.where(np.isfinite(start), start, x[:, :n])
         now = now._replace(core=now.core._replace(x=x))
-    innovation, x, after = (np.empty((long, count, k)) for k in (sensors, n, n))
+    innovation, variance, x, after = (np.empty((long, count, k)) for k in (sensors, sensors, n, n))
     each = min(MEAN_OF, long - settle)
     windows = (long - settle) // each
     seen = np.zeros((2, windows, count, sensors))
@@ -228,7 +241,7 @@ def _filtered(filter_: FrozenFilter, parts: Stretches, settle: int, start: Array
                 f"the filter on plant {filter_.plant.name!r} diverges {t - float(parts.t[0]):g} s after the beginning of the "
                 "healthy log; check its inputs and units, and that it starts near the plant's x0"
             )
-        innovation[k], x[k], before = row.innovation, row.x, t
+        innovation[k], variance[k], x[k], before = row.innovation, row.variance, row.x, t
         w = (k - settle) // each
         if 0 <= w < windows:
             known = np.isfinite(row.innovation)
@@ -237,7 +250,9 @@ def _filtered(filter_: FrozenFilter, parts: Stretches, settle: int, start: Array
             by_unknown[w] += np.where(known[..., None], row.by_cause, 0.0)
     total, known = seen.reshape(2, -1, sensors)
     means = np.where(known > 0, total / np.maximum(known, 1), np.nan)
-    return Pass(innovation, x, means, by_unknown.reshape(windows * count, sensors, p) / np.maximum(known, 1)[..., None], after)
+    return Pass(
+        innovation, variance, x, means, by_unknown.reshape(windows * count, sensors, p) / np.maximum(known, 1)[..., None], after
+    )
 
 
 def _newton(found: Pass, moved: Array, sd: Array) -> Array:
@@ -284,7 +299,10 @@ def _blocks(found: Pass, parts: Stretches, settle: int) -> list[Block]:
     of_run = np.cumsum(parts.follows < 0) - 1
     first = [settle + rows * (s - int(np.argmax(of_run == of_run[s]))) for s in range(many)]
     blocks = [
-        Block(v[a:b, s], z[a:b, s], int(of_run[s]), first[s] + a, first[s] + b - 1) for s in range(many) for a, b in pieces
+        Block(v[a:b, s], z[a:b, s], int(of_run[s]), first[s] + a, first[s] + b - 1)
+        for s in range(many)
+        for a, b in pieces
+        if np.isfinite(v[a:b, s]).any(axis=1).mean() >= KNOWN
     ]
     while len(blocks) > 2 * MOST:
         blocks = [_joined(blocks[k : k + 2]) for k in range(0, len(blocks), 2)]
@@ -305,7 +323,14 @@ def _means(a: Array, w: int) -> tuple[Array, Array]:
     return np.where(count > 0.5, total / np.maximum(count, 1.0), np.nan), count
 
 
-def _learnt(plant: Plant, parts: Stretches, blocks: list[Block], values: Array, settle: int) -> Learnt:
+class Unknown(NamedTuple):
+    """Values of the unknowns (p,), and the usual variance of the innovations (N,)."""
+
+    values: Array
+    variance: Array
+
+
+def _learnt(plant: Plant, parts: Stretches, blocks: list[Block], at: Unknown, settle: int) -> Learnt:
     z = np.concatenate([b.z for b in blocks])
     spread = np.std(z, axis=0)
     moving = spread > 1e-9 * np.maximum(np.abs(np.mean(z, axis=0)), 1e-30)
@@ -352,7 +377,9 @@ def _learnt(plant: Plant, parts: Stretches, blocks: list[Block], values: Array, 
         limit[i] = np.exp(np.mean(logs) + student.ppf(SURE, len(logs) - 1) * sd)
         for ratio, one in zip(ratios, held, strict=True):
             ratio[w - 1 :] = np.maximum(ratio[w - 1 :], one / limit[i])
-    frozen = Frozen(values, coef, mean, scale, whiten, low, high, cov, kappa, limit, share, _repeats(readings), settle)
+    frozen = Frozen(
+        at.values, coef, mean, scale, whiten, low, high, cov, kappa, limit, share, at.variance, _repeats(readings), settle
+    )
     times = [float(np.max(r)) for r in ratios]
     unlike = [Unlike(b.run, b.first, b.last, t) for b, t in zip(blocks, times, strict=True) if t > 1]
     return Learnt(frozen, np.concatenate(ratios), tuple(unlike))

@@ -27,7 +27,7 @@ from fusion_sfdia.core.arguments import probability
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision, ProcessHypothesis
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.frozen_model.commissioned_model import Frozen, Learnt, commissioned_without_faults
+from fusion_sfdia.frozen_model.commissioned_model import Frozen, Learnt, commissioned_without_faults, unsure
 from fusion_sfdia.frozen_model.frozen_filter import FRESH, FrozenFilter, Tracked, unknowns
 from fusion_sfdia.frozen_model.windows import KNOWN, WINDOWS, Spread, explained
 
@@ -171,7 +171,7 @@ class FrozenBank(BatchDetector):
         tracked, row = self._filter.step(memory.tracked, now.t_start, now.dt, y, u)
         phi = frozen.regressors(row.x, u)
         missed = phi @ frozen.coef.T
-        error = row.innovation - missed
+        error = np.where(unsure(row.variance, frozen.variance), np.nan, row.innovation - missed)
         by_cause = row.by_cause + frozen.along_states(n) @ row.effect
         place, axes = (now.k - 1) % LONGEST, y.ndim - 1
         part = np.take(memory.by_cause, place // PART, axis=axes) if place % PART else np.zeros_like(by_cause)
@@ -183,11 +183,11 @@ class FrozenBank(BatchDetector):
         )
         found = self._windows(now.k, memory, by_cause)
         memory, isolated, size, process, suspect = self._causes(memory, found, y)
-        unsure = np.isnan(np.where(isolated, size, 0.0))
+        no_size = np.isnan(np.where(isolated, size, 0.0))
         expected = row.expected + missed
-        reconstruction = np.where(np.isnan(y) | unsure, expected, np.where(isolated, y - np.nan_to_num(size), y))
+        reconstruction = np.where(np.isnan(y) | no_size, expected, np.where(isolated, y - np.nan_to_num(size), y))
         residual, threshold = self._shown(now.k, found, error, isolated)
-        fault_size = np.where(isolated, np.where(unsure, y - expected, size), np.nan)
+        fault_size = np.where(isolated, np.where(no_size, y - expected, size), np.nan)
         nothing = np.full((*isolated.shape[:-1], 2), np.nan)
         process_size, process_sd = (
             np.where(process, np.concatenate([a[..., count:], nothing], axis=-1), np.nan) for a in (found.size, found.sd)

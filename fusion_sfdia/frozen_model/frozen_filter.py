@@ -43,11 +43,12 @@ class Tracked(NamedTuple):
 
 
 class Row(NamedTuple):
-    """What a row shows: innovation v (..., N), NaN where missing; D (..., N, M); state x (..., n), predicted and after the
-    readings, each with its effect (..., n, M); expected readings (..., N). lost (...): the model gives no finite value.
+    """What a row shows: innovation v (..., N), NaN where missing, and its variance; D (..., N, M); state x (..., n), predicted
+    and after the readings, each with its effect (..., n, M); expected readings (..., N). lost (...): no finite value.
     """
 
     innovation: Array
+    variance: Array
     by_cause: Array
     x: Array
     effect: Array
@@ -142,7 +143,8 @@ class FrozenFilter:
         nis = np.sum(normal**2, axis=-1) / np.maximum(np.sum(used, axis=-1), 1)
         nis = np.where(used.any(axis=-1), nis, np.nan)
         row = Row(
-            innovation, by_cause, joint.x[..., :n], ahead[..., :n, :], x[..., :n], effect[..., :n, :], p[..., :n, :n], joint.y,
+            innovation, np.diagonal(joint.S, axis1=-2, axis2=-1), by_cause, joint.x[..., :n], ahead[..., :n, :],
+            x[..., :n], effect[..., :n, :], p[..., :n, :n], joint.y,
             prior.guarded, lost, nis,
         )  # fmt: skip
         return Tracked(GaussianState(x, p), effect, fresh, grown), row
