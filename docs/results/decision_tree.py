@@ -18,7 +18,7 @@ SHOWN = 3
 def tree(rows: Sequence[Row]) -> str:
     """The tree as a nested list in Markdown; rows of comparison.csv."""
     index = comparison.index_of(rows)
-    with_model = [n for n in registry.detectors() if n not in FROM_DATA and ":" not in n]
+    with_model = [n for n in registry.compared_detectors() if n not in FROM_DATA and ":" not in n]
 
     def value(fault: str, condition: str, metric: str) -> Callable[[str, str], float | None]:
         def of(plant: str, detector: str) -> float | None:

@@ -31,7 +31,7 @@ def process_verdicts_have_numbers(detector: Detector, healthy: Healthy) -> None:
     _, d = run(detector, detector.init((2,)), t, y, u)
     sized = np.asarray(d.process) & np.array([h.kind not in WITHOUT_SIZE for h in tested])
     for what in ("process_size", "process_sd"):
-        assert_array_equal(np.isnan(getattr(d, what)), ~sized, f"{what} is NaN just where nothing that has one is accepted")
+        assert_array_equal(np.isnan(getattr(d, what)), ~sized, f"{what} is NaN just where nothing is accepted")
     sd = np.asarray(d.process_sd)[sized]
     require(np.all((sd >= 0) & np.isfinite(sd)), "standard deviations are finite and not negative", sd)
     probability = np.asarray(d.probability)[~d.diverged]

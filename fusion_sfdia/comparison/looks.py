@@ -11,10 +11,10 @@ from fusion_sfdia.report.plots import COLOURS, DASHES, MARKERS
 
 FAMILIES = (
     "fusing", "loo", "kf", "adaptive", "virtual", "chebyshev", "limits", "pca", "structural", "uio", "multiple", "one", "mhe",
-    "robust",
+    "robust", "frozen",
 )  # fmt: skip
 # one each; on white the lightest of COLOURS is hardly seen
-FAMILY_COLOURS = (*COLOURS[:-1], "#D4B000", "#808080", "#8B4513", "#6A3D9A", "#808000", "#B03060", "#004D40")
+FAMILY_COLOURS = (*COLOURS[:-1], "#D4B000", "#808080", "#8B4513", "#6A3D9A", "#808000", "#B03060", "#004D40", "#5F9EA0")
 LINES: tuple[Any, ...] = (*DASHES, (0, (6, 2, 1, 2, 1, 2)), (0, (2, 4)))  # one for each member of a family
 MOST_NAMED, NAMED = 9, 6  # detectors that lines can show by name; where they are more, those that are named
 OTHERS, GREY = "other detectors", "0.82"

@@ -51,8 +51,8 @@ OUTSIDE = ProcessHypothesis("operation outside the healthy log", "1", "outside",
 class FrozenMemory(NamedTuple):
     """The filter; of the last LONGEST rows, at the place of their number, errors (..., LONGEST, N) and regressors
     (..., LONGEST, q), and means of their derivatives over PART rows (..., LONGEST / PART, N, M); what causes have left (..., M)
-    of the event, and T, and their weight; rows without alarm, and of process verdicts; the sensor named last, its size, and
-    rows since; the readings before, and their repeats (..., N).
+    of the event, and T, and their weight; rows without alarm, and of process verdicts; the sensor named last, its largest
+    size, and rows since; the readings before, and their repeats (..., N).
     """
 
     tracked: Tracked
@@ -94,10 +94,9 @@ class FrozenBank(BatchDetector):
 
     @classmethod
     def fit(cls, plant: Plant, healthy: Any, false_alarm: float = 1e-3, **settings: Any) -> Self:
-        """Commission on healthy readings; alarms at a rate per step over all sensors, on blocks of them that were left out.
+        """Commission on healthy readings; alarms at most at a rate per step over all sensors, on blocks that were left out.
 
-        A sensor or the process is named only beyond the largest that such blocks have shown, whatever the rate. ValueError
-        where the readings are too few.
+        They are above the largest that such blocks have shown, whatever the rate. ValueError where the readings are too few.
         """
         probability("false_alarm", false_alarm)
         learnt, _ = commissioned_without_faults(plant, as_runs(plant, (healthy,)))
@@ -113,7 +112,7 @@ class FrozenBank(BatchDetector):
                 f"that many after the first {learnt.frozen.settle} of each run, or choose a higher false-alarm rate"
             )
         scale = float(scores[max(int(np.ceil((1 - false_alarm) * scores.size)) - 1, 0)])
-        return cls(plant, frozen=learnt.frozen, threshold_scale=max(scale, 1e-3), fitted_rate=false_alarm, **settings)
+        return cls(plant, frozen=learnt.frozen, threshold_scale=max(scale, 1.0), fitted_rate=false_alarm, **settings)
 
     @property
     def process_hypotheses(self) -> tuple[ProcessHypothesis, ...]:
@@ -269,6 +268,8 @@ class FrozenBank(BatchDetector):
         some = explains.any(axis=-1)
         alone = some & ~rival.any(axis=-1)
         size = np.take_along_axis(found.size, best[..., None], axis=-1)[..., 0]
+        lasts = (best == memory.named) & (memory.since <= BRIEF)
+        largest = np.where(lasts & (np.abs(size) < np.abs(memory.size)), memory.size, size)
         smaller = (memory.since > BRIEF) & (np.abs(size) < AGAIN * np.abs(memory.size))
         returns = (np.sign(size) != np.sign(memory.size)) | smaller
         back = alone & is_sensor & (best == memory.named) & returns & (memory.since < LONGEST)
@@ -284,13 +285,22 @@ class FrozenBank(BatchDetector):
         known = np.isfinite(y)
         repeats = np.where(known, np.where(same, memory.repeats + 1, 0.0), memory.repeats)
         frozen = (repeats > FROZEN * np.maximum(self.frozen.repeats, 2.0) * self._named_above) & known
-        named = np.where(sensor, best, memory.named)
+        stuck = frozen.any(axis=-1) & ~sensor
+        which = np.argmax(frozen, axis=-1)
+        size_stuck = np.take_along_axis(found.size, which[..., None], axis=-1)[..., 0]
         process = np.concatenate([chosen[..., count:] & unknown[..., None], np.stack([unnamed, outside], axis=-1)], axis=-1)
         memory = memory._replace(
-            left=left, total=total, weight=weight, calm=calm, process=np.clip(counted, 0.0, MOST), named=named,
-            size=np.where(sensor, size, memory.size), since=np.where(sensor, 0.0, memory.since + 1),
-            before=np.where(known, y, memory.before), repeats=repeats,
-        )  # fmt: skip
+            left=left,
+            total=total,
+            weight=weight,
+            calm=calm,
+            process=np.clip(counted, 0.0, MOST),
+            named=np.where(sensor, best, np.where(stuck, which, memory.named)),
+            size=np.where(sensor, largest, np.where(stuck, size_stuck, memory.size)),
+            since=np.where(sensor | stuck, 0.0, memory.since + 1),
+            before=np.where(known, y, memory.before),
+            repeats=repeats,
+        )
         sizes = np.where(isolated & ~frozen, found.size[..., :count], np.nan)
         suspect = np.concatenate([suspect, np.zeros_like(suspect[..., :2])], axis=-1)
         return memory, isolated | frozen, sizes, process, suspect

@@ -53,7 +53,7 @@ def tuned_frozen(plant: Plant, log: Log, at: Callable[[int, int], str], rate: Ra
         raise ValueError("the healthy log has readings that are not healthy: " + "; ".join(left_out))
     scores = [np.sqrt(learnt.held_out)[:, None]]
     limit = threshold(scores, rate.per_sample(dt))
-    scale = limit.scale if limit.counted else max(limit.scale, min(limit.high, 1.0))
+    scale = max(limit.scale, 1.0)  # above the largest that blocks have shown which were not learnt
     detector = FrozenBank(plant, frozen=learnt.frozen, threshold_scale=scale, fitted_rate=rate.per_sample(dt))
     count = counted(scores, scale)
     remarks = [f"left out: {reason}" for reason in left_out]

@@ -34,6 +34,41 @@ def mutated(text: str, mutant: Mutant) -> str:
 
 MUTANTS = (
     Mutant(
+        "fusion_sfdia/frozen_model/frozen_filter.py",
+        "return ahead - K @ by_cause, by_cause, ahead",
+        "return ahead, by_cause, ahead",
+        "tests/frozen_model/test_frozen_filter.py::test_the_derivatives_are_those_of_differences",
+        quick=True,
+    ),
+    Mutant(
+        "fusion_sfdia/frozen_model/commissioned_model.py",
+        "(1.0 + BEYOND * np.sum(np.nan_to_num(off), axis=-1)) ** 2",
+        "(1.0 + BEYOND * np.sum(np.nan_to_num(off), axis=-1))",
+        "tests/frozen_model/test_commissioned_model.py::test_beyond_its_range_a_correction_is_believed_less",
+        quick=True,
+    ),
+    Mutant(
+        "fusion_sfdia/frozen_model/commissioned_model.py",
+        "innovation=sure)",
+        "innovation=found.innovation)",
+        "tests/frozen_model/test_commissioned_model.py::test_rows_with_a_fault_are_left_out_and_named",
+        quick=False,
+    ),
+    Mutant(
+        "fusion_sfdia/frozen_model/frozen_bank.py",
+        "np.minimum(shown, LAST * lately) >= STILL * t",
+        "t > 0",
+        "tests/frozen_model/test_frozen_bank.py::test_a_slow_drift_is_named_and_nothing_follows_its_end",
+        quick=False,
+    ),
+    Mutant(
+        "fusion_sfdia/frozen_model/frozen_bank.py",
+        "least + np.maximum(NEAR, NEAR_SHARE * whole)[..., None]",
+        "least",
+        "tests/frozen_model/test_frozen_bank.py::test_a_level_sensor_and_its_outlet_are_one_of_two",
+        quick=False,
+    ),
+    Mutant(
         "fusion_sfdia/learning/windows.py",
         "own * ri - np.where(past, ij * rj, 0.0)",
         "own * ri",
