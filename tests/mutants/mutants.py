@@ -45,7 +45,7 @@ MUTANTS = (
         "(1.0 + BEYOND * np.sum(np.nan_to_num(off), axis=-1)) ** 2",
         "(1.0 + BEYOND * np.sum(np.nan_to_num(off), axis=-1))",
         "tests/frozen_model/test_commissioned_model.py::test_beyond_its_range_a_correction_is_believed_less",
-        quick=True,
+        quick=False,
     ),
     Mutant(
         "fusion_sfdia/frozen_model/commissioned_model.py",
