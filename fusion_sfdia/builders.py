@@ -33,7 +33,7 @@ Array = NDArray[Any]
 
 CALIBRATION_SEEDS = range(900_000, 900_020)  # used by no campaign
 CALIBRATION_STEPS = 360
-FEW = 8  # runs from which a frozen model is commissioned: its limits are of blocks, not of single samples
+FEW = 4  # runs from which a frozen model is commissioned: its limits are of blocks, not of single samples
 WARM_UP = 60  # samples: the printed filters converge slowly
 PAPER_PROCESS = {
     "gas-pipeline": 0.9

@@ -58,8 +58,7 @@ SLOW |= {("power-network", f"fusing-{kind}") for kind in ("ekf", "ukf", "enkf")}
 # what learns its thresholds from such recordings, the printed unscented bank too, finds no bias of 30 sigma in most of them.
 # Structural residuals: all that read the receiver's pressure but one read the torque, too, and that one, of the turbine's
 # temperature, shows an eighth of the fault, hardly its limit: without it either sensor alone explains the alarms.
-# Without its start, to which a frozen model gives no weight, the fault of a flow meter is a change of its outlet, and that of a
-# speed in the network several causes at once.
+# Without its start, to which a frozen model gives no weight, the fault of a flow meter is a change of its outlet.
 # Without trust in the inputs of an area a wrong reading of its valve is a wrong reference or load, which it shows best.
 LATE = {("two-tanks", "robust-glr"): 4}  # samples in which a change of an outlet explains a flow as well
 MISSED = {
@@ -72,7 +71,6 @@ MISSED = {
     ("power-network", "fusing-ukf"): {"angle", "speed", "mechanical power", "valve"},
     ("power-network", "fusing-enkf"): {"angle", "speed", "mechanical power", "valve"},
     ("two-tanks", "frozen-model"): {"flow"},
-    ("power-network", "frozen-model"): {"speed"},
     ("power-network", "limits"): {"angle", "mechanical power", "valve"},
     ("power-network", "limits-ewma"): {"angle", "mechanical power", "valve"},
     ("power-network", "kf-chi2"): {"speed"},
@@ -311,6 +309,8 @@ def test_a_large_bias_raises_an_alarm_and_has_the_right_name(pair: tuple[str, st
             continue  # its diagnosis sets hold every sensor whose fault would explain the decisions
         # at most two of the twenty samples isolate another sensor, too
         assert np.sum(np.any(np.delete(during, i, axis=-1), axis=-1)) <= 2
+        if isinstance(detector, FrozenBank):
+            continue  # its size is that of a window, part of which may be from before the fault
         size = d.fault_size[onset + first, run_index, i] / plant.sensor_sigma[i]
         # reading less its estimate: 30 with the noise of a reading and of its estimate, at most sqrt(2) together
         assert size == pytest.approx(30.0, abs=4 * np.sqrt(2))
