@@ -10,7 +10,6 @@ from fusion_sfdia.checks.require import require
 from fusion_sfdia.core.detector import Detector, ProcessHypothesis, run
 
 KINDS = ("parameter", "input", "state", "disturbance", "unnamed", "outside")
-WITHOUT_SIZE = ("unnamed", "outside")
 
 
 def process_verdicts_have_numbers(detector: Detector, healthy: Healthy) -> None:
@@ -29,7 +28,7 @@ def process_verdicts_have_numbers(detector: Detector, healthy: Healthy) -> None:
     y[10:, 0, 0] += 30 * detector.plant.sensor_sigma[0]
     y[10:, 1] += 30 * detector.plant.sensor_sigma  # no single sensor explains it
     _, d = run(detector, detector.init((2,)), t, y, u)
-    sized = np.asarray(d.process) & np.array([h.kind not in WITHOUT_SIZE for h in tested])
+    sized = np.asarray(d.process) & np.array([h.has_size for h in tested])
     for what in ("process_size", "process_sd"):
         assert_array_equal(np.isnan(getattr(d, what)), ~sized, f"{what} is NaN just where nothing is accepted")
     sd = np.asarray(d.process_sd)[sized]

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,8 @@ from fusion_sfdia.core.augment import augment
 from fusion_sfdia.core.covariance import diagonal
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.filters.estimators import Extended, GaussianState, step_stream
-from fusion_sfdia.filters.gaussian import half_inverse
+from fusion_sfdia.filters.estimators import Extended, GaussianState, Prior, step_stream
+from fusion_sfdia.filters.gaussian import Joint, half_inverse
 
 Array = NDArray[Any]
 
@@ -95,39 +95,61 @@ def until(log: Log, use: Array) -> Log:
     return Log(log.t[:last], log.y[:last], log.u[:last])
 
 
+class Update(NamedTuple):
+    """One update of the filter: prior and joint Gaussian, readings y (B, N) on the turn of what is expected, used (B, N), U and
+    C U as in `Sample`, normal U' d (B, N), and the state after it.
+    """
+
+    prior: Prior
+    joint: Joint
+    y: Array
+    used: Array
+    half: Array
+    normal: Array
+    gain_half: Array
+    after: GaussianState
+
+
+def updated(model: Plant, core: GaussianState, t_start: float, dt: float, y: Array, u: Array) -> Update:
+    """The extended filter over [t_start, t_start + dt] and its update by y (B, N), NaN where missing, under u (B, m)."""
+    filter_, rng = Extended(), step_stream(0, 0)  # it draws nothing
+    prior = filter_.predict(model, core, t_start, u, dt, rng)
+    joint = filter_.joint(model, prior, t_start + dt, u)
+    y = model.near(y, joint.y)
+    used = np.isfinite(y)
+    half = half_inverse(joint.S, used)
+    normal = (np.swapaxes(half, -1, -2) @ np.where(used, y - joint.y, 0.0)[..., None])[..., 0]
+    gain_half = joint.C @ half
+    x = joint.x + (gain_half @ normal[..., None])[..., 0]
+    p = joint.P - gain_half @ np.swapaxes(gain_half, -1, -2)
+    floor = 4 * np.finfo(float).eps * sum(joint.C.shape[-2:])
+    np.einsum("...ii->...i", p)[...] += floor * np.diagonal(joint.P, axis1=-2, axis2=-1)
+    return Update(prior, joint, y, used, half, normal, gain_half, GaussianState(x, p))
+
+
 def filtered(model: Plant, log: Log) -> Iterator[Sample]:
     """Yield the samples of a filter on the plant, started at its x0, over a log of runs: t (K,), y (K, B, N), u (K, B, m).
 
     ValueError where the model gives no finite value.
     """
-    filter_, rng = Extended(), step_stream(0, 0)  # it draws nothing
-    core = filter_.start(model, log.y.shape[1:-1], rng)
+    core = Extended().start(model, log.y.shape[1:-1], step_stream(0, 0))  # it draws nothing
     before = float(log.t[0]) - model.dt
     for t, y, u in zip(log.t.tolist(), log.y, log.u, strict=True):
         model.check_dt(t - before)
-        prior = filter_.predict(model, core, before, u, t - before, rng)
-        joint = filter_.joint(model, prior, t, u)
-        y = model.near(y, joint.y)
-        used = np.isfinite(y)
-        half = half_inverse(joint.S, used)
-        normal = (np.swapaxes(half, -1, -2) @ np.where(used, y - joint.y, 0.0)[..., None])[..., 0]
-        gain_half = joint.C @ half
-        x = joint.x + (gain_half @ normal[..., None])[..., 0]
+        prior, joint, _, used, half, normal, gain_half, core = updated(model, core, before, t - before, y, u)
+        x = core.x
         if not np.all(np.isfinite(x)):
             where = "the healthy log" if log.y.shape[1] == 1 else f"one of the {log.y.shape[1]} stretches of the healthy log"
             raise ValueError(
                 f"the filter on plant {model.name!r} diverges {t - float(log.t[0]):g} s after the beginning of {where}; check "
                 "its inputs and units, and that it starts near the plant's x0"
             )
-        p = joint.P - gain_half @ np.swapaxes(gain_half, -1, -2)
-        floor = 4 * np.finfo(float).eps * sum(joint.C.shape[-2:])
-        np.einsum("...ii->...i", p)[...] += floor * np.diagonal(joint.P, axis1=-2, axis2=-1)
         assert prior.tangent is not None and joint.H is not None
         readout = np.broadcast_to(joint.H, np.swapaxes(joint.C, -1, -2).shape)
         scale = np.where(used, np.diagonal(half, axis1=-2, axis2=-1), 1.0)
         log_likelihood = np.sum(np.log(scale) - used * np.log(2 * np.pi) / 2 - normal**2 / 2, axis=-1)
         yield Sample(x, prior.tangent, readout, half, gain_half, normal, used, log_likelihood)
-        core, before = GaussianState(x, p), t
+        before = t
 
 
 def settling(model: Plant, log: Log) -> int:

@@ -40,6 +40,11 @@ class ProcessHypothesis(NamedTuple):
     kind: str
     nominal: float
 
+    @property
+    def has_size(self) -> bool:
+        """Whether an accepted one has a size, a difference from the model in its unit."""
+        return self.kind not in ("unnamed", "outside")
+
 
 def require_no_cycles(plant: Plant, what: str) -> None:
     """Raise NotApplicableError for a plant with cyclic readings, which `what` would take for large changes."""

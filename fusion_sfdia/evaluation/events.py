@@ -152,9 +152,6 @@ class UndecidedEvent(Event):
         return f"{unsure(self.suspects)}, {self.when(clock)}"
 
 
-WITHOUT_SIZE: dict[str, type[Event]] = {"unnamed": UnnamedEvent, "outside": OperationEvent}  # kinds of process hypotheses
-
-
 def events_of(detector: Detector, t: Array, decisions: Decision, gap: int) -> tuple[Event, ...]:
     """Events of Decisions (K, ...) at times t (K,) s: the process first, then what is undecided, then sensors and others; of
     each in order of their start.
@@ -179,7 +176,8 @@ def _process(tested: Sequence[ProcessHypothesis], t: Array, decisions: Decision,
     found: list[Event] = []
     for j, h in enumerate(tested):
         for a, b in spans(decisions.process[:, j], gap):
-            if (kind := WITHOUT_SIZE.get(h.kind)) is not None:
+            if not h.has_size:
+                kind = OperationEvent if h.kind == "outside" else UnnamedEvent
                 found.append(kind(h.name, *_when(t, a, b), float("nan"), "", b == len(t) - 1))
                 continue
             size, sd = (median(values[a : b + 1, j]) for values in (decisions.process_size, decisions.process_sd))

@@ -11,6 +11,8 @@ residuals are as before. In each row
 - while the verdict has mostly been the process no sensor is named;
 - what looks like the sensor named last with the other sign, or again but much smaller, is the filter on its way back;
 - a sensor that repeats a reading twice as often as it ever did when healthy is frozen.
+
+The numbers below were chosen on one simulated air-handling unit, but `BRIEF`, `AGAIN` and `RIGHT` on plants of our tests.
 """
 
 from __future__ import annotations
@@ -26,10 +28,11 @@ from fusion_sfdia.commissioning.commission import as_runs
 from fusion_sfdia.core.arguments import probability
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision, ProcessHypothesis
+from fusion_sfdia.core.order_statistics import order_statistic
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.frozen_model.commissioned_model import Frozen, Learnt, commissioned_without_faults, unsure
+from fusion_sfdia.frozen_model.commissioned_model import Frozen, beyond, commissioned_without_faults, spread_of, unsure
 from fusion_sfdia.frozen_model.frozen_filter import FRESH, FrozenFilter, Tracked, unknowns
-from fusion_sfdia.frozen_model.windows import KNOWN, WINDOWS, Spread, explained
+from fusion_sfdia.frozen_model.windows import WINDOWS, Spread, enough, explained
 
 Array = NDArray[Any]
 
@@ -100,18 +103,13 @@ class FrozenBank(BatchDetector):
         """
         probability("false_alarm", false_alarm)
         learnt, _ = commissioned_without_faults(plant, as_runs(plant, (healthy,)))
-        return cls.of(plant, learnt, false_alarm, **settings)
-
-    @classmethod
-    def of(cls, plant: Plant, learnt: Learnt, false_alarm: float, **settings: Any) -> Self:
-        """The detector of what was learnt, in alarm in that share of the rows that were left out; ValueError for too few."""
-        scores = np.sort(np.sqrt(learnt.held_out))
+        scores = np.sqrt(learnt.held_out)
         if scores.size * false_alarm < 1:
             raise ValueError(
                 f"{scores.size} healthy samples cannot set thresholds that one in {1 / false_alarm:.0f} exceeds; give at least "
                 f"that many after the first {learnt.frozen.settle} of each run, or choose a higher false-alarm rate"
             )
-        scale = float(scores[max(int(np.ceil((1 - false_alarm) * scores.size)) - 1, 0)])
+        scale = float(order_statistic(scores, false_alarm))
         return cls(plant, frozen=learnt.frozen, threshold_scale=max(scale, 1.0), fitted_rate=false_alarm, **settings)
 
     @property
@@ -148,7 +146,7 @@ class FrozenBank(BatchDetector):
 
     @cached_property
     def _spreads(self) -> tuple[Spread, ...]:
-        return self.frozen.spreads()
+        return tuple(spread_of(cov) for cov in self.frozen.cov)
 
     @cached_property
     def _named_above(self) -> float:
@@ -212,7 +210,7 @@ class FrozenBank(BatchDetector):
             rows = np.arange(k - w, k) % LONGEST
             m, known = self._mean(memory.errors[..., rows, :])
             phi = memory.regressors[..., rows, :].mean(axis=-2)
-            off = self.frozen.beyond(phi)
+            off = beyond(phi, self.frozen.low, self.frozen.high)
             growth = self.frozen.growth(i, phi) * off
             g, d = growth * float(self.frozen.limit[i]), by_cause
             if w > PART:
@@ -242,7 +240,7 @@ class FrozenBank(BatchDetector):
         known = np.isfinite(errors)
         count = known.sum(axis=-2)
         m = np.where(known, errors, 0.0).sum(axis=-2) / np.maximum(count, 1)
-        return m, count >= np.maximum(KNOWN * self.frozen.share * errors.shape[-2], 1.0)
+        return m, enough(count, self.frozen.share, errors.shape[-2])
 
     def _causes(self, memory: FrozenMemory, found: Found, y: Array) -> tuple[FrozenMemory, Array, Array, Array, Array]:
         """The memory, and what is isolated (..., N), of which size, which process hypotheses hold, and the suspects."""

@@ -18,12 +18,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.augment import augment
+from fusion_sfdia.commissioning.innovations import held, updated
 from fusion_sfdia.core.detector import ProcessHypothesis
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.uncertainty import error_of
 from fusion_sfdia.filters.estimators import Extended, GaussianState, step_stream
-from fusion_sfdia.filters.gaussian import half_inverse
 
 Array = NDArray[Any]
 
@@ -72,17 +71,10 @@ class FrozenFilter:
     @cached_property
     def model(self) -> Plant:
         """The augmented plant, at these values, which no reading changes; its disturbances are estimated."""
-        known = self.plant.uncertainty
-        frozen = tuple(replace(p, treatment="frozen") for p in known.parameters)
-        model = augment(replace(self.plant, uncertainty=replace(known, parameters=frozen, at_rest=False)))
-        n, x0, cov = len(self.plant.states), model.x0.copy(), model.initial_cov.copy()
-        own = slice(n, n + self.values.size)
-        x0[own] = self.values
-        if cov.ndim == 1:
-            cov[own] = 0.0
-        else:
-            cov[own] = cov[:, own] = 0.0
-        return replace(model, x0=x0, initial_cov=cov)
+        model = held(self.plant)
+        n, x0 = len(self.plant.states), model.x0.copy()
+        x0[n : n + self.values.size] = self.values
+        return replace(model, x0=x0)
 
     @property
     def counts(self) -> tuple[int, int, int]:
@@ -108,25 +100,12 @@ class FrozenFilter:
 
     def step(self, now: Tracked, t_start: float, dt: float, y: Array, u: Array) -> tuple[Tracked, Row]:
         """After the readings y (*batch, N) at t_start + dt under u (*batch, m)."""
-        model, rng, filter_ = self.model, step_stream(0, 0), Extended()  # it draws nothing
         count, n = len(self.plant.sensors), len(self.plant.states)
-        prior = filter_.predict(model, now.core, t_start, u, dt, rng)
-        joint = filter_.joint(model, prior, t_start + dt, u)
-        y = model.near(y, joint.y)
-        used = np.isfinite(y)
-        half = half_inverse(joint.S, used)
-        back = np.swapaxes(half, -1, -2)
-        innovation = y - joint.y
-        normal = (back @ np.where(used, innovation, 0.0)[..., None])[..., 0]
-        gain_half = joint.C @ half
-        x = joint.x + (gain_half @ normal[..., None])[..., 0]
-        p = joint.P - gain_half @ np.swapaxes(gain_half, -1, -2)
-        floor = 4 * np.finfo(float).eps * sum(joint.C.shape[-2:])
-        np.einsum("...ii->...i", p)[...] += floor * np.diagonal(joint.P, axis1=-2, axis2=-1)
+        prior, joint, y, used, half, normal, gain_half, core = updated(self.model, now.core, t_start, dt, y, u)
         assert prior.tangent is not None and joint.H is not None
         tangent, readout = prior.tangent, np.broadcast_to(joint.H, np.swapaxes(joint.C, -1, -2).shape)
         own = np.eye(count, now.effect.shape[-1]) if self.of_sensors else 0.0
-        gain = gain_half @ back
+        gain = gain_half @ np.swapaxes(half, -1, -2)
 
         def followed(effect: Array, F: Array, H: Array, K: Array) -> tuple[Array, Array, Array]:
             ahead = F @ effect
@@ -139,15 +118,14 @@ class FrozenFilter:
             begun = np.concatenate([np.broadcast_to(self._begin, (*fresh.shape[:-3], 1, *fresh.shape[-2:])), fresh], axis=-3)
             fresh, seen, _ = followed(begun[..., :-1, :, :], *(a[..., None, :, :] for a in (tangent, readout, gain)))
             grown = np.concatenate([np.zeros_like(grown[..., :1, :, :]), grown[..., :-1, :, :]], axis=-3) + seen
-        lost = ~np.isfinite(x).all(axis=-1) | prior.lost
+        lost = ~np.isfinite(core.x).all(axis=-1) | prior.lost
         nis = np.sum(normal**2, axis=-1) / np.maximum(np.sum(used, axis=-1), 1)
         nis = np.where(used.any(axis=-1), nis, np.nan)
         row = Row(
-            innovation, np.diagonal(joint.S, axis1=-2, axis2=-1), by_cause, joint.x[..., :n], ahead[..., :n, :],
-            x[..., :n], effect[..., :n, :], p[..., :n, :n], joint.y,
-            prior.guarded, lost, nis,
+            y - joint.y, np.diagonal(joint.S, axis1=-2, axis2=-1), by_cause, joint.x[..., :n], ahead[..., :n, :],
+            core.x[..., :n], effect[..., :n, :], core.P[..., :n, :n], joint.y, prior.guarded, lost, nis,
         )  # fmt: skip
-        return Tracked(GaussianState(x, p), effect, fresh, grown), row
+        return Tracked(core, effect, fresh, grown), row
 
 
 def unknowns(plant: Plant) -> tuple[ProcessHypothesis, ...]:

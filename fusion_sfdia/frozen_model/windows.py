@@ -24,6 +24,11 @@ KNOWN = 0.5  # least share of the rows of a window with a reading
 TINY = np.finfo(float).tiny
 
 
+def enough(count: Array, share: Array, w: int) -> Array:
+    """Whether of w rows so many (..., N) have a reading, of a sensor that usually has one in that share of them (N,)."""
+    return np.asarray(count >= np.maximum(KNOWN * share * w, 1.0))
+
+
 class Spread(NamedTuple):
     """The covariance S (N, N) of means, with U, S^-1 = U U'."""
 

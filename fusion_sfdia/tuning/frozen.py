@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.commissioning.parameters import declared
 from fusion_sfdia.commissioning.refusals import still
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
@@ -20,19 +21,17 @@ from fusion_sfdia.frozen_model.commissioned_model import Learnt, commissioned_wi
 from fusion_sfdia.frozen_model.frozen_bank import FrozenBank
 from fusion_sfdia.frozen_model.frozen_filter import unknowns
 from fusion_sfdia.frozen_model.windows import WINDOWS
-from fusion_sfdia.tuning.tail import counted, threshold
+from fusion_sfdia.tuning.tail import counted, threshold, threshold_figures
 
 Array = NDArray[Any]
 
 FAR = 3.0  # prior standard deviations of an unknown, beyond which it is remarked on
-UNLIKE = 1.0  # times the limit of T, beyond which a block is listed though it was learnt from
 
 
 class Frozen(NamedTuple):
-    """The tuned detector, what was left out, in words, and tables and figures of the file."""
+    """The tuned detector, and tables and figures of the file."""
 
     detector: FrozenBank
-    left_out: list[str]
     tables: dict[str, Any]
     quality: dict[str, Any]
 
@@ -61,38 +60,27 @@ def tuned_frozen(plant: Plant, log: Log, at: Callable[[int, int], str], rate: Ra
         f"from {at(a, b)} to {at(z, b)} readings are {np.sqrt(times):.2g} times as far off as elsewhere: an operation that the "
         "log has once, or a fault"
         for b, a, z, times in learnt.unlike
-        if times > UNLIKE
     ]
-    remarks += _of_unknowns(plant, learnt)
+    commissioned = {
+        h.name: {"value": float(v), "stated": float(h.nominal), "stated_sd": float(sd), "unit": h.unit}
+        for h, v, sd in zip(unknowns(plant), learnt.frozen.values, declared(plant)[2], strict=True)
+    }
+    moved = np.abs(learnt.frozen.values - declared(plant)[1]) / declared(plant)[2]
+    away = {name: a for name, a in zip(commissioned, moved.tolist(), strict=True) if a > FAR}
+    remarks += [f"{name} is {a:.1f} of its stated deviations off: check its value, and the units" for name, a in away.items()]
     if short := [w for w, one in zip(WINDOWS, learnt.frozen.limit, strict=True) if np.isinf(one)]:
         remarks.append(f"the log is too short for windows of {short[0]} rows: drifts that are slower are not seen")
-    names = [h.name for h in unknowns(plant)]
-    known = plant.uncertainty
-    sd = [*known.sd, *(known.inputs[s.name] for s in plant.inputs if s.name in known.inputs)]
-    commissioned = {
-        name: {"value": float(v), "stated": float(h.nominal), "stated_sd": float(s), "unit": h.unit}
-        for name, v, s, h in zip(names, learnt.frozen.values, sd, unknowns(plant), strict=True)
-    }
     corrected = bool((learnt.frozen.coef[:, 1:] != 0).any())
     quality = {
         "samples": int(learnt.held_out.size),
         "runs": int(log.y.shape[1]),
         "settle": learnt.frozen.settle,
-        "learnt": ["unknowns"] * bool(names) + ["errors of the equations by operation"] * corrected,
-        "threshold": "counted" if limit.counted else "extrapolated by a generalised Pareto tail",
-        "threshold_interval": [limit.low, limit.high],
-        "expected_above": limit.expected,
-        "achieved": {
-            "rate": str(rate.same(count.rate, dt)) if count.rate else "0",
-            "low": str(rate.same(count.low, dt)) if count.low else "0",
-            "high": str(rate.same(count.high, dt)),
-            "samples_above": count.above,
-            "alarms": count.alarms,
-        },
+        "learnt": ["unknowns"] * bool(commissioned) + ["errors of the equations by operation"] * corrected,
+        **threshold_figures(limit, count, rate, dt),
         "remarks": remarks,
     }
     tables = {"sensors": _sensors(plant, learnt), "commissioned": commissioned}
-    return Frozen(detector, left_out, tables, quality)
+    return Frozen(detector, tables, quality)
 
 
 def _moving(plant: Plant, log: Log, at: Callable[[int, int], str]) -> tuple[Log, list[str]]:
@@ -112,13 +100,6 @@ def _moving(plant: Plant, log: Log, at: Callable[[int, int], str]) -> tuple[Log,
     seen = np.any(np.isfinite(log.y), axis=(0, 1)).tolist()
     none = [s.name for s, known in zip(plant.sensors, seen, strict=True) if not known]
     return log, left_out + [f"{name}: it has no reading" for name in none]
-
-
-def _of_unknowns(plant: Plant, learnt: Learnt) -> list[str]:
-    known = plant.uncertainty
-    sd = np.array([*known.sd, *(known.inputs[s.name] for s in plant.inputs if s.name in known.inputs)])
-    away = [(h.name, abs(v - h.nominal) / s) for h, v, s in zip(unknowns(plant), learnt.frozen.values, sd, strict=True)]
-    return [f"{name} is {a:.1f} of its stated deviations off: check its value, and the units" for name, a in away if a > FAR]
 
 
 def _sensors(plant: Plant, learnt: Learnt) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from scipy.stats import chi2
 
 from fusion_sfdia.core.order_statistics import order_statistic
 from fusion_sfdia.core.random_streams import stream
+from fusion_sfdia.core.rate import Rate
 
 Array = NDArray[Any]
 
@@ -102,6 +103,23 @@ def counted(scores: Sequence[Array], scale: float | Sequence[float]) -> Count:
     low = chi2.ppf(0.025, 2 * alarms) / 2 if alarms else 0.0
     high = chi2.ppf(0.975, 2 * alarms + 2) / 2
     return Count(above, alarms, samples, above / samples, float(low * each / samples), float(high * each / samples))
+
+
+def threshold_figures(limit: Threshold, count: Count, rate: Rate, dt: float) -> dict[str, Any]:
+    """A threshold and what was counted above it as plain numbers, rates as the stated one."""
+    return {
+        "threshold": "counted" if limit.counted else "extrapolated by a generalised Pareto tail",
+        "threshold_interval": [limit.low, limit.high],
+        "expected_above": limit.expected,
+        "tail_shape": limit.shape,
+        "achieved": {
+            "rate": str(rate.same(count.rate, dt)) if count.rate else "0",
+            "low": str(rate.same(count.low, dt)) if count.low else "0",
+            "high": str(rate.same(count.high, dt)),
+            "samples_above": count.above,
+            "alarms": count.alarms,
+        },
+    }
 
 
 def _quantile(u: float, shape: Array, mean: Array, share: float) -> Array:

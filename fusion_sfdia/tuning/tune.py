@@ -30,7 +30,7 @@ from fusion_sfdia.tuning.frozen import tuned_frozen
 from fusion_sfdia.tuning.remarks import remarks
 from fusion_sfdia.tuning.runs import as_even_runs
 from fusion_sfdia.tuning.stationary import require_stationary
-from fusion_sfdia.tuning.tail import Count, Threshold, counted, shortest, threshold
+from fusion_sfdia.tuning.tail import Count, Threshold, counted, shortest, threshold, threshold_figures
 from fusion_sfdia.tuning.tuned import Tuned, acting_plant, learnt_plant, learnt_tables, plant_table, scaled, settings_digest
 
 Array = NDArray[Any]
@@ -217,17 +217,7 @@ def _quality(
         "nis": found.after.nis,
         "coloured_before": found.before.coloured,
         "coloured": found.after.coloured,
-        "threshold": "counted" if limit.counted else "extrapolated by a generalised Pareto tail",
-        "threshold_interval": [limit.low, limit.high],
-        "expected_above": limit.expected,
-        "tail_shape": limit.shape,
-        "achieved": {
-            "rate": str(rate.same(count.rate, dt)) if count.rate else "0",
-            "low": str(rate.same(count.low, dt)) if count.low else "0",
-            "high": str(rate.same(count.high, dt)),
-            "samples_above": count.above,
-            "alarms": count.alarms,
-        },
+        **threshold_figures(limit, count, rate, dt),
         "delays": f"simulated: biases added to these readings, {late.onsets} onsets a sensor, within {late.within:g} s",
     }
     for s, size in enumerate(late.sizes):
