@@ -119,14 +119,15 @@ def structural_residuals(plant: Plant, healthy: Any = None, false_alarm: float =
 
 
 def frozen_model(plant: Plant, healthy: Any = None, false_alarm: float = FALSE_ALARM) -> FrozenBank:
-    """A frozen model commissioned on healthy readings, None for simulated runs."""
+    """A frozen model commissioned on healthy readings, None for simulated runs, with the adaptive bank where that fits them."""
+    from fusion_sfdia.frozen_model.commissioned_bank import with_bank
     from fusion_sfdia.frozen_model.frozen_bank import FrozenBank
 
     if healthy is None:
         runs = max(FEW, int(np.ceil(2 / false_alarm / CALIBRATION_STEPS)))
         seeds = range(CALIBRATION_SEEDS.start, CALIBRATION_SEEDS.start + runs)
         healthy = simulate(plant, CALIBRATION_STEPS, seeds, process_noise=plant.truth.disturbed)
-    return FrozenBank.fit(plant, healthy, false_alarm)
+    return with_bank(FrozenBank.fit(plant, healthy, false_alarm), healthy)[0]
 
 
 def bounded(plant: Plant) -> Detector:

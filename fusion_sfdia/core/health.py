@@ -61,19 +61,24 @@ def of_runs(where: Array, one: Any, other: Any) -> Any:
     return mapped(chosen, one, other)
 
 
+def decision_of_runs(where: Array, one: Decision, other: Decision) -> Decision:
+    """Of two decisions that of `one` in the runs `where` (*batch) holds, else that of `other`; None where either has None."""
+
+    def chosen(a: Array, b: Array) -> Array:
+        a, b = (np.broadcast_to(v, where.shape) if v.ndim == 0 else v for v in (a, b))
+        return np.where(where.reshape(where.shape + (1,) * (a.ndim - where.ndim)), a, b)
+
+    named = {f.name: (getattr(one, f.name), getattr(other, f.name)) for f in fields(one)}
+    found: dict[str, Any] = {name: None if a is None or b is None else chosen(a, b) for name, (a, b) in named.items()}
+    return replace(other, **found)
+
+
 def without_readings(held: Array, decision: Decision, expected: Decision) -> Decision:
     """Of the runs `held` (*batch) the decision `expected`, which was made without the readings, with their residuals,
     thresholds and nis; of the others `decision`.
     """
-    kept = ("residual", "threshold", "nis")
-    named = {f.name: (getattr(decision, f.name), getattr(expected, f.name)) for f in fields(decision) if f.name not in kept}
-
-    def chosen(a: Array, b: Array) -> Array:
-        a, b = (np.broadcast_to(v, held.shape) if v.ndim == 0 else v for v in (a, b))
-        return np.where(held.reshape(held.shape + (1,) * (a.ndim - held.ndim)), b, a)
-
-    found: dict[str, Any] = {name: None if a is None or b is None else chosen(a, b) for name, (a, b) in named.items()}
-    return replace(decision, **found)
+    kept = {name: getattr(decision, name) for name in ("residual", "threshold", "nis")}
+    return replace(decision_of_runs(held, expected, decision), **kept)
 
 
 NUMBERS = (

@@ -44,6 +44,8 @@ GAIN = 0.3  # by which the logarithm of the held-out covariance's determinant mu
 KAPPAS = (0.0, 0.003, 0.01, 0.03, 0.1, 0.3)
 SURE, LEAST_SD = 0.975, 0.2  # quantile of the largest T of another block, and least sd of its logarithm
 LOOSE, LOOSE_MEANS = 0.02, 0.01  # of the diagonal of a covariance, added
+PRIOR = 2  # windows for each sensor, that the covariance of independent rows counts for
+PRIOR = 2  # windows for each sensor, that the covariance of independent rows counts for
 BLOCK, FEWEST, MOST = 500, 4, 16  # rows of a block, and how many
 BEYOND = 12.0  # by which deviations may grow a range of the log beyond it: twice as what a straight line misses of a parabola
 FOLDS = 8  # neighbouring blocks are left out together: operation changes slowly
@@ -58,8 +60,8 @@ class Frozen(NamedTuple):
     values (p,). coef B (N, q); mean, scale (q,) of the regressors; whiten W (q, q), W W' the inverse of their second moment;
     low, high (q,): their range, infinite where no error depends on them.
     cov (W, N, N), kappa (W,), limit (W,) of each window, inf where the log is too short for it. share (N,): of the rows in
-    which a sensor has a reading. variance (N,): of its innovation, the median. repeats (N,): the longest run of equal readings.
-    settle: rows without a verdict.
+    which a sensor has a reading. variance (N,): of its innovation, the median. repeats (N,):
+    the longest run of equal readings. settle: rows without a verdict.
     """
 
     values: Array
@@ -154,7 +156,7 @@ def commissioned(plant: Plant, log: Log) -> Learnt:
             f"the healthy log has {steps} samples; the filter on plant {plant.name!r} forgets its start within {settle}, and "
             f"after that at least {AT_LEAST} are needed, {2 * AT_LEAST} over all runs: give a longer log"
         )
-    parts = _stretches(plant, log, settle)
+    parts = stretches(plant, log, settle)
     start, prior = None, values
     for _ in range(ROUNDS if values.size else 0):
         found = _filtered(FrozenFilter(plant, values, of_sensors=False), parts, settle, start)
@@ -175,19 +177,22 @@ def unsure(now: Array, usual: Array) -> Array:
     return np.asarray(now > UNSURE * usual)
 
 
-def commissioned_without_faults(plant: Plant, log: Log) -> tuple[Learnt, tuple[Unlike, ...]]:
-    """The same, again without the blocks that are `LEFT_OUT` times beyond the limits of all others, which follow."""
+def commissioned_without_faults(plant: Plant, log: Log) -> tuple[Learnt, tuple[Unlike, ...], Log]:
+    """The same, again without the blocks that are `LEFT_OUT` times beyond the limits of all others, which follow, and the log
+    without them.
+    """
     found = commissioned(plant, log)
     out = tuple(part for part in found.unlike if part.times > LEFT_OUT)
     if not out:
-        return found, ()
+        return found, (), log
     y = log.y.copy()
     for part in out:
         y[part.first : part.last + 1, part.run] = np.nan
-    return commissioned(plant, log._replace(y=y)), out
+    log = log._replace(y=y)
+    return commissioned(plant, log), out, log
 
 
-def _stretches(plant: Plant, log: Log, settle: int) -> Stretches:
+def stretches(plant: Plant, log: Log, settle: int) -> Stretches:
     """Cut runs at equal steps into stretches, each of which begins `settle` rows early; others stay whole."""
     steps, runs, _ = log.y.shape
     even = np.allclose(np.diff(log.t), plant.dt, rtol=1e-6, atol=0)
@@ -333,7 +338,7 @@ def _learnt(parts: Stretches, blocks: list[Block], values: Array, variance: Arra
     whiten = half_inverse(moment + np.diag(np.r_[0.0, np.full(len(moment) - 1, 1e-3)]), np.ones(len(moment), bool))
     readings = parts.y[settle:]
     share = np.maximum(np.mean(np.isfinite(readings), axis=(0, 1)), 1e-9)
-    count = variance.size
+    count, many = variance.size, sum(len(e) for e in errors)
     cov, kappa, limit = np.zeros((len(WINDOWS), count, count)), np.zeros(len(WINDOWS)), np.full(len(WINDOWS), np.inf)
     cov[:] = np.eye(count)
     ratios = [np.zeros(len(e)) for e in errors]
@@ -343,16 +348,14 @@ def _learnt(parts: Stretches, blocks: list[Block], values: Array, variance: Arra
         own = [_means(e, w) for e in errors]
         means = [np.where(enough(k, share, w), m, np.nan) for m, k in own]
         moments = [_moment(m) for m in means]
-        cov[i] = _shrunk(moments, cov[0], w, sum(len(e) for e in errors) / w)
+        cov[i] = _shrunk(moments, cov[0], w, many / w)
         phi_means = [_means(phi, w)[0] for phi in phis]
         away = [np.sum((phi @ whiten) ** 2, axis=-1) for phi in phi_means]
         t = [_statistic(spread_of(cov[i]), m) for m in means]
         kappa[i] = _kappa(np.concatenate(t), np.concatenate(away), count)
         held = []
         for b, m in enumerate(means):
-            others = _shrunk(
-                [x for k, x in enumerate(moments) if fold[k] != fold[b]], cov[0], w, sum(len(e) for e in errors) / w
-            )
+            others = _shrunk([x for k, x in enumerate(moments) if fold[k] != fold[b]], cov[0], w, many / w)
             held.append(_statistic(spread_of(others), m) / (1 + kappa[i] * away[b]))
         logs = np.log([max(float(np.max(one)), 1e-9) for one in held])
         logs = logs[~_outlying(logs)]
@@ -438,7 +441,7 @@ def _shrunk(moments: Sequence[tuple[Array, Array]], single: Array, w: int, windo
     unseen = np.diag(many) < 1
     cov[unseen] = cov[:, unseen] = 0.0
     if w > 1:
-        cov = (windows * cov + 2 * count * single / w) / (windows + 2 * count)
+        cov = (windows * cov + PRIOR * count * single / w) / (windows + PRIOR * count)
     scale = np.sqrt(np.maximum(np.diag(cov), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(cov / np.outer(scale, scale))  # of correlations, whatever the units
     cov = (vectors * np.maximum(values, 0.0)) @ vectors.T * np.outer(scale, scale)

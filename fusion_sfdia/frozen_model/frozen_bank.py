@@ -23,6 +23,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from fusion_sfdia.commissioning.commission import as_runs
 from fusion_sfdia.core.arguments import probability
@@ -38,11 +39,13 @@ Array = NDArray[Any]
 
 LONGEST = WINDOWS[-1]
 PART = 10  # rows over which derivatives of errors are kept as one: they change slowly
+FALSE_ALARM = 1e-3  # per row, where no rate was fitted
 FADES = 60  # rows over which an event's rows count, and without alarm after which it is over
 SMALL = 0.15  # share of T that a cause may leave
 NEAR, NEAR_SHARE = 0.3, 0.06  # limits, or share of T, by which a rival may leave more than the best cause
 STILL, LAST = 0.5, 1.5  # of T that the last quarter shows at least, and the factor on what the last rows show
 LATELY = 10  # rows at least of the last quarter
+SHOWS, HALF = 0.3, 0.5  # share of its limit, and of its T, at which a window shows a cause at all
 PROCESS, MOST = 60, 240  # rows of process verdicts above which no sensor is named, and that are counted
 BRIEF, AGAIN = 3, 0.5  # rows after which a sensor is named again only from this share of the size that it had
 RIGHT = 0.95  # probability of what is named: of the rows that named a sensor, tried on plants with wrong laws, .99 were right
@@ -54,8 +57,9 @@ OUTSIDE = ProcessHypothesis("operation outside the healthy log", "1", "outside",
 class FrozenMemory(NamedTuple):
     """The filter; of the last LONGEST rows, at the place of their number, errors (..., LONGEST, N) and regressors
     (..., LONGEST, q), and means of their derivatives over PART rows (..., LONGEST / PART, N, M); what causes have left (..., M)
-    of the event, and T, and their weight; rows without alarm, and of process verdicts; the sensor named last, its largest
-    size, and rows since; the readings before, and their repeats (..., N).
+    of the event, and T, and their weight; rows of the event, and whether it began within a few rows; rows without alarm,
+    and of process verdicts; the sensor named last, its largest size, and rows since; the readings before, and their repeats
+    (..., N).
     """
 
     tracked: Tracked
@@ -65,6 +69,8 @@ class FrozenMemory(NamedTuple):
     left: Array
     total: Array
     weight: Array
+    age: Array
+    abrupt: Array
     calm: Array
     process: Array
     named: Array
@@ -77,7 +83,9 @@ class FrozenMemory(NamedTuple):
 class Found(NamedTuple):
     """What windows show in a row: whether one is in alarm (...); the largest T over its limit (...), and of that window J over
     the limit (..., M); of the shortest one size and sd of the causes (..., M), as they are now; the largest ratio of any window
-    (...), alarm or not; whether one would be in alarm were operation within the range of the healthy log (...).
+    (...), alarm or not; whether one would be in alarm were operation within the range of the healthy log (...); which causes
+    explain half of what a window shows, at `SHOWS` of its limit at least (..., M); whether a window of at most `FRESH` rows is
+    in alarm (...).
     """
 
     alarm: Array
@@ -87,6 +95,21 @@ class Found(NamedTuple):
     sd: Array
     ratio: Array
     outside: Array
+    shown: Array
+    brief: Array
+
+
+class Witness(NamedTuple):
+    """What the windows say in a row beside the verdict: whether they are in alarm, or would be were operation within the
+    healthy log (...); rows since the event began, and whether it began within a few (...); which causes explain it, and which a
+    window shows at all (..., M).
+    """
+
+    alarm: Array
+    age: Array
+    abrupt: Array
+    explains: Array
+    shown: Array
 
 
 @dataclass(frozen=True)
@@ -102,7 +125,7 @@ class FrozenBank(BatchDetector):
         They are above the largest that such blocks have shown, whatever the rate. ValueError where the readings are too few.
         """
         probability("false_alarm", false_alarm)
-        learnt, _ = commissioned_without_faults(plant, as_runs(plant, (healthy,)))
+        learnt, *_ = commissioned_without_faults(plant, as_runs(plant, (healthy,)))
         scores = np.sqrt(learnt.held_out)
         if scores.size * false_alarm < 1:
             raise ValueError(
@@ -153,17 +176,27 @@ class FrozenBank(BatchDetector):
         """The square of the factor on the limits beyond which a cause is named."""
         return float(max(self.threshold_scale, 1.0) ** 2)
 
+    @cached_property
+    def _limits(self) -> Array:
+        """The limit of each window: what the healthy log shows, and at least what normal means exceed at the stated rate."""
+        rate = FALSE_ALARM if self.fitted_rate is None else self.fitted_rate
+        return np.asarray(np.maximum(self.frozen.limit, chi2.isf(rate / len(WINDOWS), len(self.plant.sensors))))
+
     def _start(self, batch: tuple[int, ...], seed: int) -> FrozenMemory:
         count, _, p = self._filter.counts
         q, none = self.frozen.mean.size, np.zeros(batch)
         return FrozenMemory(
             self._filter.start(batch), np.full((*batch, LONGEST, count), np.nan), np.zeros((*batch, LONGEST, q)),
             np.zeros((*batch, LONGEST // PART, count, count + p)), np.zeros((*batch, count + p)), none, none.copy(),
-            np.full(batch, float(FADES)), none.copy(), np.full(batch, -1), none.copy(), np.full(batch, float(LONGEST)),
-            np.full((*batch, count), np.nan), np.zeros((*batch, count)),
+            none.copy(), np.zeros(batch, bool), np.full(batch, float(FADES)), none.copy(), np.full(batch, -1), none.copy(),
+            np.full(batch, float(LONGEST)), np.full((*batch, count), np.nan), np.zeros((*batch, count)),
         )  # fmt: skip
 
-    def _judge(self, memory: FrozenMemory, now: TimeStep, y: Array, u: Array) -> tuple[FrozenMemory, Decision]:
+    def _judge(self, memory: Any, now: TimeStep, y: Array, u: Array) -> tuple[Any, Decision]:
+        return self._witnessed(memory, now, y, u)[:2]
+
+    def _witnessed(self, memory: FrozenMemory, now: TimeStep, y: Array, u: Array) -> tuple[FrozenMemory, Decision, Witness]:
+        """The memory after the readings, the verdict, and what the windows say beside it."""
         frozen, n, count = self.frozen, len(self.plant.states), y.shape[-1]
         tracked, row = self._filter.step(memory.tracked, now.t_start, now.dt, y, u)
         phi = frozen.regressors(row.x, u)
@@ -179,7 +212,7 @@ class FrozenBank(BatchDetector):
             by_cause=_with(memory.by_cause, axes, place // PART, part + (by_cause - part) / (place % PART + 1)),
         )
         found = self._windows(now.k, memory, by_cause)
-        memory, isolated, size, process, suspect = self._causes(memory, found, y)
+        memory, isolated, size, process, suspect, witness = self._causes(memory, found, y)
         no_size = np.isnan(np.where(isolated, size, 0.0))
         expected = row.expected + missed
         reconstruction = np.where(np.isnan(y) | no_size, expected, np.where(isolated, y - np.nan_to_num(size), y))
@@ -196,23 +229,24 @@ class FrozenBank(BatchDetector):
             estimate, reconstruction, residual, threshold, isolated, fault_size, diverged, row.guarded, row.nis, row.covariance,
             process=process, process_size=process_size, process_sd=process_sd, suspect=suspect,
             probability=_probability(np.concatenate([isolated, process], axis=-1) | suspect),
-        )  # fmt: skip
+        ), witness  # fmt: skip
 
     def _windows(self, k: int, memory: FrozenMemory, by_cause: Array) -> Found:
         """What the windows show after k rows, of which the last has the derivatives `by_cause` (..., N, M)."""
         batch, causes = by_cause.shape[:-2], by_cause.shape[-1]
-        alarm, outside = np.zeros((2, *batch), bool)
+        alarm, outside, brief = np.zeros((3, *batch), bool)
         total, ratio = np.zeros((2, *batch))
         own, size, sd = (np.zeros((*batch, causes)) for _ in range(3))
+        seen = np.zeros((*batch, causes), bool)
         for i, (w, spread) in enumerate(zip(WINDOWS, self._spreads, strict=True)):
-            if k - self.frozen.settle < w or not np.isfinite(self.frozen.limit[i]):
+            if k - self.frozen.settle < w or not np.isfinite(self._limits[i]):
                 continue
             rows = np.arange(k - w, k) % LONGEST
             m, known = self._mean(memory.errors[..., rows, :])
             phi = memory.regressors[..., rows, :].mean(axis=-2)
             off = beyond(phi, self.frozen.low, self.frozen.high)
             growth = self.frozen.growth(i, phi) * off
-            g, d = growth * float(self.frozen.limit[i]), by_cause
+            g, d = growth * float(self._limits[i]), by_cause
             if w > PART:
                 parts = (k - 1) // PART - np.arange(w // PART)
                 d = memory.by_cause[..., parts % (LONGEST // PART), :, :].mean(axis=-3)
@@ -228,12 +262,15 @@ class FrozenBank(BatchDetector):
                 shown, lately = (explained(spread, *a, d[..., :0], g)[0] for a in (quarter, last))
                 still = np.minimum(shown, LAST * lately) >= STILL * t
             ratio = np.maximum(ratio, np.where(still, t, 0.0))
+            seen |= (j >= HALF * t[..., None]) & (still & (t > SHOWS))[..., None]
             outside |= (t <= self._named_above) & (t * off > self._named_above) & (off > 1)
             now = (t > 1) & still
+            if w <= FRESH:
+                brief |= now
             first, most = (a[..., None] for a in (now & ~alarm, now & (t > total)))
             alarm, total, own = alarm | now, np.where(now, np.maximum(t, total), total), np.where(most, j, own)
             size, sd = np.where(first, s, size), np.where(first, np.sqrt(growth[..., None] / power), sd)
-        return Found(alarm, total, own, size, sd, ratio, outside)
+        return Found(alarm, total, own, size, sd, ratio, outside, seen, brief)
 
     def _mean(self, errors: Array) -> tuple[Array, Array]:
         """The mean of rows (..., w, N) and whether enough of them are known (..., N)."""
@@ -242,7 +279,7 @@ class FrozenBank(BatchDetector):
         m = np.where(known, errors, 0.0).sum(axis=-2) / np.maximum(count, 1)
         return m, enough(count, self.frozen.share, errors.shape[-2])
 
-    def _causes(self, memory: FrozenMemory, found: Found, y: Array) -> tuple[FrozenMemory, Array, Array, Array, Array]:
+    def _causes(self, memory: FrozenMemory, found: Found, y: Array) -> tuple[FrozenMemory, Array, Array, Array, Array, Witness]:
         """The memory, and what is isolated (..., N), of which size, which process hypotheses hold, and the suspects."""
         count = y.shape[-1]
         level = self._named_above
@@ -255,6 +292,8 @@ class FrozenBank(BatchDetector):
         total = total + np.where(alarm, found.total, 0.0)
         left = left + np.where(alarm[..., None], found.total[..., None] - found.own, 0.0)
         calm = np.where(alarm, 0.0, memory.calm + 1)
+        age = np.where(over, alarm, memory.age + 1.0)
+        abrupt = (memory.abrupt & ~over) | (alarm & found.brief & (age <= FRESH))
         a, whole = left / np.maximum(weight, 1e-9)[..., None], total / np.maximum(weight, 1e-9)
         explains = alarm[..., None] & (a <= np.maximum(level, SMALL * whole)[..., None])
         best = np.argmin(a, axis=-1)
@@ -291,6 +330,8 @@ class FrozenBank(BatchDetector):
             left=left,
             total=total,
             weight=weight,
+            age=age,
+            abrupt=abrupt,
             calm=calm,
             process=np.clip(counted, 0.0, MOST),
             named=np.where(sensor, best, np.where(stuck, which, memory.named)),
@@ -301,7 +342,8 @@ class FrozenBank(BatchDetector):
         )
         sizes = np.where(isolated & ~frozen, found.size[..., :count], np.nan)
         suspect = np.concatenate([suspect, np.zeros_like(suspect[..., :2])], axis=-1)
-        return memory, isolated | frozen, sizes, process, suspect
+        witness = Witness(alarm | outside, age, abrupt, explains, found.shown)
+        return memory, isolated | frozen, sizes, process, suspect, witness
 
     def _shown(self, k: int, found: Found, error: Array, isolated: Array) -> tuple[Array, Array]:
         """Residuals (..., N), and thresholds of which the largest ratio is the root of the largest T over its limit.

@@ -17,6 +17,7 @@ from fusion_sfdia.commissioning.refusals import still
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.rate import Rate
+from fusion_sfdia.frozen_model.commissioned_bank import with_bank
 from fusion_sfdia.frozen_model.commissioned_model import Learnt, commissioned_without_faults
 from fusion_sfdia.frozen_model.frozen_bank import FrozenBank
 from fusion_sfdia.frozen_model.frozen_filter import unknowns
@@ -43,7 +44,7 @@ def tuned_frozen(plant: Plant, log: Log, at: Callable[[int, int], str], rate: Ra
     """
     dt = float(np.median(np.diff(log.t)))
     log, left_out = _moving(plant, log, at)
-    learnt, unlike = commissioned_without_faults(plant, log)
+    learnt, unlike, log = commissioned_without_faults(plant, log)
     left_out += [
         f"all readings from {at(a, b)} to {at(z, b)}: {np.sqrt(times):.2g} times as far off as in the rest of the log"
         for b, a, z, times in unlike
@@ -53,7 +54,8 @@ def tuned_frozen(plant: Plant, log: Log, at: Callable[[int, int], str], rate: Ra
     scores = [np.sqrt(learnt.held_out)[:, None]]
     limit = threshold(scores, rate.per_sample(dt))
     scale = max(limit.scale, 1.0)  # above the largest that blocks have shown which were not learnt
-    detector = FrozenBank(plant, frozen=learnt.frozen, threshold_scale=scale, fitted_rate=rate.per_sample(dt))
+    alone = FrozenBank(plant, frozen=learnt.frozen, threshold_scale=scale, fitted_rate=rate.per_sample(dt))
+    detector, share = with_bank(alone, log)
     count = counted(scores, scale)
     remarks = [f"left out: {reason}" for reason in left_out]
     remarks += [
@@ -61,6 +63,11 @@ def tuned_frozen(plant: Plant, log: Log, at: Callable[[int, int], str], rate: Ra
         "log has once, or a fault"
         for b, a, z, times in learnt.unlike
     ]
+    if detector is alone:
+        remarks.append(
+            f"the adaptive bank isolates a sensor or names the process in {share:.2g} of these healthy rows: the frozen model "
+            "judges alone, and where an abrupt fault has two explanations it names both"
+        )
     commissioned = {
         h.name: {"value": float(v), "stated": float(h.nominal), "stated_sd": float(sd), "unit": h.unit}
         for h, v, sd in zip(unknowns(plant), learnt.frozen.values, declared(plant)[2], strict=True)

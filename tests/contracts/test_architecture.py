@@ -26,7 +26,7 @@ FOLDERS: dict[str, set[str]] = {
     "intervals": set(),
     "filters": {"core"},
     "commissioning": {"core", "filters"},
-    "frozen_model": {"core", "filters", "commissioning"},
+    "frozen_model": {"core", "filters", "commissioning", "kalman_banks"},
     "kalman_banks": {"core", "filters"},
     "adaptive_thresholds": {"core", "intervals"},
     "stochastic_thresholds": {"core", "filters"},

@@ -44,7 +44,7 @@ def test_rows_with_a_fault_are_left_out_and_named() -> None:
     log = healthy()
     y = log.y.copy()
     y[700:760, 0, 2] += 40 * PLANT.sensor_sigma[2]
-    learnt, out = commissioned_without_faults(PLANT, log._replace(y=y))
+    learnt, out, _ = commissioned_without_faults(PLANT, log._replace(y=y))
     assert out and all(part.run == 0 for part in out)
     assert all(part.last >= 700 and part.first < 760 + 240 for part in out)
     clean = commissioned(PLANT, log).frozen
