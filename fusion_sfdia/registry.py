@@ -87,6 +87,7 @@ class NamedDetector(NamedTuple):
 
 
 DEFAULT_DETECTOR = "robust-glr"  # where none is named
+COMMISSIONED = "frozen-model"  # where there is a healthy log to commission on, and none is named
 
 _PLANTS: dict[str, NamedPlant] = {}
 _DETECTORS: dict[str, NamedDetector] = {}

@@ -29,7 +29,7 @@ from fusion_sfdia.cli.tune import add_tune
 from fusion_sfdia.cli.watch import add_watch
 from fusion_sfdia.core.plain_text import PlainStream
 from fusion_sfdia.core.references import is_reference
-from fusion_sfdia.registry import DEFAULT_DETECTOR
+from fusion_sfdia.registry import COMMISSIONED, DEFAULT_DETECTOR
 
 
 def parser() -> argparse.ArgumentParser:
@@ -98,7 +98,8 @@ def detector_of(chosen: argparse.Namespace) -> str | None:
     """The registered detector that a command runs; None where it runs none, or a file names it."""
     if chosen.command not in ("diagnose", "tune", "watch") or getattr(chosen, "tuned", None):
         return None
-    name = chosen.detector or DEFAULT_DETECTOR
+    learns = chosen.command == "tune" or getattr(chosen, "healthy", None)
+    name = chosen.detector or (COMMISSIONED if learns else DEFAULT_DETECTOR)
     return None if is_reference(name) else name
 
 

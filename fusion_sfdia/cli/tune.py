@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fusion_sfdia.cli.options import add_columns, add_detector, add_plant, columns, loaded, printed_warnings, warn, warn_of
-from fusion_sfdia.registry import DEFAULT_DETECTOR
+from fusion_sfdia.registry import COMMISSIONED, DEFAULT_DETECTOR
 
 if TYPE_CHECKING:
     from fusion_sfdia.core.plant import Plant
@@ -32,7 +32,7 @@ def add_tune(commands: Any) -> None:
     )
     one.add_argument("--map", type=Path, metavar="MAP.toml", help="how the logs are written, and which column is which sensor")
     one.add_argument("--false-alarm", default="1/day", metavar="RATE", help="stated rate of false alarms (default: 1/day)")
-    add_detector(one)
+    add_detector(one, COMMISSIONED)
     add_columns(one)
     one.add_argument("--out", type=Path, default=Path("tuned.toml"), metavar="TUNED.toml", help="(default: tuned.toml)")
     one.add_argument("--strict", action="store_true", help="refuse a log with readings that are not healthy")
@@ -99,7 +99,7 @@ def diagnosing_detector(chosen: argparse.Namespace) -> tuple[str, Any, Any]:
 
     if chosen.tuned:
         raise ValueError("--tuned and --healthy both state what is healthy; give one")
-    plant, name = registry.plant(chosen.plant), chosen.detector or DEFAULT_DETECTOR
+    plant, name = registry.plant(chosen.plant), chosen.detector or COMMISSIONED
     whole = check_log(chosen.data, plant, chosen.map, **columns(chosen))
     tuned = on_stretch(plant, without_suspects(plant, whole).log, chosen.healthy, name, whole.clock)
     for remark in tuned.quality["remarks"]:
@@ -131,7 +131,7 @@ def _tuned(chosen: argparse.Namespace) -> int:
         model,
         *(one.log for one in logs),
         false_alarm=chosen.false_alarm,
-        detector=chosen.detector or DEFAULT_DETECTOR,
+        detector=chosen.detector or COMMISSIONED,
         strict=chosen.strict,
         sources=[Source(str(path), one.clock) for path, one in zip(chosen.healthy, logs, strict=True)],
         made=date.today().isoformat(),

@@ -4,13 +4,14 @@ The bank (`kalman_banks.robust_bank`) begins at the unknowns of commissioning an
 causes with the same lasting pattern has just begun; but its unknowns follow slow changes, and what they have followed it takes
 for a fault of a sensor when the change ends. So what it says counts
 
-- while the frozen model shows nothing: for `TRUSTED` rows, and then only while a window shows that cause at all;
+- while the frozen model shows nothing: for `TRUSTED` rows, but not soon after an event, and then only while a window shows that
+  cause at all;
 - while the frozen model shows suspects or the process: of a sensor that explains the event, where the bank has isolated it
   at most `ONSET` rows after the event began: an abrupt onset is evidence that lasting patterns do not use;
 - never against a sensor that the frozen model names, and never outside the healthy log.
 
-What no longer counts, and the end of an event, begin the bank anew, at the unknowns of commissioning and the estimate of the
-frozen model. The numbers are of simulated tanks and an engine.
+What no longer counts, and the end of an event, begin the bank anew, at the unknowns of commissioning and with
+states as uncertain as at a start. The numbers are of simulated tanks and an engine.
 """
 
 from __future__ import annotations
@@ -29,10 +30,19 @@ from fusion_sfdia.core.detector import Decision, ProcessHypothesis
 from fusion_sfdia.core.health import decision_of_runs, of_runs
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.filters.estimators import GaussianState
+from fusion_sfdia.filters.gaussian import dense
 from fusion_sfdia.frozen_model.commissioned_model import stretches
-from fusion_sfdia.frozen_model.frozen_bank import FADES, NO_SINGLE_CAUSE, OUTSIDE, FrozenBank, FrozenMemory, Witness
+from fusion_sfdia.frozen_model.frozen_bank import (
+    FADES,
+    FALSE_ALARM,
+    NO_SINGLE_CAUSE,
+    OUTSIDE,
+    FrozenBank,
+    FrozenMemory,
+    Witness,
+)
 from fusion_sfdia.frozen_model.frozen_filter import unknowns
-from fusion_sfdia.kalman_banks.robust_bank import START, RobustBank
+from fusion_sfdia.kalman_banks.robust_bank import RobustBank
 from fusion_sfdia.kalman_banks.robust_memory import RobustMemory
 
 Array = NDArray[Any]
@@ -69,7 +79,8 @@ class CommissionedBank(FrozenBank):
     @cached_property
     def _bank(self) -> RobustBank:
         there = at(self.plant, self.frozen.values, declared(self.plant)[2])
-        return RobustBank(there, threshold_scale=self.threshold_scale / self.fitted_scale)
+        rate = FALSE_ALARM if self.fitted_rate is None else min(self.fitted_rate, FALSE_ALARM)
+        return RobustBank(there, threshold_scale=self.threshold_scale / self.fitted_scale, false_alarm=rate)
 
     @cached_property
     def _places(self) -> tuple[Array, Array, Array]:
@@ -96,9 +107,12 @@ class CommissionedBank(FrozenBank):
         counts = said & self._counts(seen, channel, held, starting)
         ends = (frozen.calm == FADES) & (memory.frozen.age > 0)
         overruled = np.asarray((said & ~counts).any(axis=-1) & ~seen.alarm)
-        anew = np.asarray((overruled & (not starting)) | ends | other.diverged)
+        lost = other.diverged  # then from the estimate of the frozen model
+        anew = np.asarray((overruled & (not starting)) | ends | lost)
         if anew.any():
-            begun = self._begun(frozen.tracked.core, now.seed)._replace(noise=bank.noise, pairs=bank.pairs)
+            n, (x, P) = len(self.plant.states), of_runs(lost, frozen.tracked.core, bank.estimate)
+            begun = self._begun(x[..., :n], P[..., :n, :n] + dense(self.plant.initial_cov), now.seed)
+            begun = begun._replace(noise=bank.noise, pairs=bank.pairs)
             bank = of_runs(anew, begun, bank)
             held = np.where(anew[..., None], 0.0, held)
         return BothMemory(frozen, bank, held), self._together(channel, other, counts)
@@ -106,22 +120,22 @@ class CommissionedBank(FrozenBank):
     def share_isolated(self, log: Log) -> float:
         """The share of the rows of healthy runs y (K, B, N) in which the bank by itself isolates a sensor or names the process.
 
-        It begins where the frozen model has forgotten its start, in stretches side by side.
+        It begins where the frozen model has forgotten its start, as uncertain as at any start, in stretches side by side.
         """
         parts, frozen = stretches(self.plant, log, self.frozen.settle), self._filter
+        settle, first = self.frozen.settle, dense(self.plant.initial_cov)
         tracked, bank, hits = frozen.start((parts.y.shape[1],)), None, 0
         before = float(parts.t[0]) - self.plant.dt
         for k, (t, y, u) in enumerate(zip(parts.t.tolist(), parts.y, parts.u, strict=True)):
-            if k < self.frozen.settle:
+            if k < settle:
                 tracked, _ = frozen.step(tracked, before, t - before, y, u)
             else:
-                begins = k == self.frozen.settle
-                bank = self._begun(tracked.core, 0) if begins or bank is None else bank
-                bank, found = self._bank._judge(bank, TimeStep(before, t, t - before, 0, START + k), y, u)
+                bank = self._begun(tracked.core.x[..., : len(first)], first, 0) if bank is None else bank
+                bank, found = self._bank._judge(bank, TimeStep(before, t, t - before, 0, k - settle + 1), y, u)
                 assert found.process is not None
                 hits += int(np.sum(found.isolated.any(axis=-1) | found.process.any(axis=-1)))
             before = t
-        return float(hits / max((len(parts.t) - self.frozen.settle) * parts.y.shape[1], 1))
+        return float(hits / max((len(parts.t) - settle) * parts.y.shape[1], 1))
 
     def _counts(self, seen: Witness, channel: Decision, held: Array, starting: bool) -> Array:
         """Which of the bank's causes count (..., N + P) that it has held for so many rows."""
@@ -131,16 +145,17 @@ class CommissionedBank(FrozenBank):
             return np.ones(held.shape, bool)
         named = np.asarray(channel.isolated.any(axis=-1))[..., None]
         at_onset = seen.abrupt[..., None] & (seen.age[..., None] - held <= ONSET)
-        while_silent = at_onset | (held <= TRUSTED) | shown
+        event = (seen.age > 0)[..., None]
+        while_silent = np.where(event, at_onset & (seen.calm <= TRUSTED)[..., None], held <= TRUSTED) | shown
         return np.asarray(np.where(seen.alarm[..., None], at_onset & explains, while_silent) & ~named)
 
-    def _begun(self, core: GaussianState, seed: int) -> RobustMemory:
-        """The bank at the unknowns of commissioning, with the states and their covariance of the frozen model."""
-        n, begun = len(self.plant.states), self._bank._start(core.x.shape[:-1], seed)
-        x, P = (np.array(a) for a in begun.estimate)
-        P[..., :n, n:] = P[..., n:, :n] = 0.0  # what a plant at rest has; the frozen model has left its start
-        x[..., :n], P[..., :n, :n] = core.x[..., :n], core.P[..., :n, :n]
-        return begun._replace(estimate=GaussianState(x, P))
+    def _begun(self, x: Array, P: Array, seed: int) -> RobustMemory:
+        """The bank at the unknowns of commissioning, with the states x (..., n) and their covariance P (..., n, n)."""
+        n, begun = len(self.plant.states), self._bank._start(x.shape[:-1], seed)
+        z, cov = (np.array(a) for a in begun.estimate)
+        cov[..., :n, n:] = cov[..., n:, :n] = 0.0  # what a plant at rest has
+        z[..., :n], cov[..., :n, :n] = x, P
+        return begun._replace(estimate=GaussianState(z, cov))
 
     def _together(self, channel: Decision, bank: Decision, counts: Array) -> Decision:
         """The bank's decision in the runs where something of it counts, else the frozen model's."""

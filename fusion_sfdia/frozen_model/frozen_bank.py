@@ -101,12 +101,13 @@ class Found(NamedTuple):
 
 class Witness(NamedTuple):
     """What the windows say in a row beside the verdict: whether they are in alarm, or would be were operation within the
-    healthy log (...); rows since the event began, and whether it began within a few (...); which causes explain it, and which a
-    window shows at all (..., M).
+    healthy log (...); rows since the event began and since its last alarm, and whether it began within a few (...); which
+    causes explain it, and which a window shows at all (..., M).
     """
 
     alarm: Array
     age: Array
+    calm: Array
     abrupt: Array
     explains: Array
     shown: Array
@@ -342,7 +343,7 @@ class FrozenBank(BatchDetector):
         )
         sizes = np.where(isolated & ~frozen, found.size[..., :count], np.nan)
         suspect = np.concatenate([suspect, np.zeros_like(suspect[..., :2])], axis=-1)
-        witness = Witness(alarm | outside, age, abrupt, explains, found.shown)
+        witness = Witness(alarm | outside, age, calm, abrupt, explains, found.shown)
         return memory, isolated | frozen, sizes, process, suspect, witness
 
     def _shown(self, k: int, found: Found, error: Array, isolated: Array) -> tuple[Array, Array]:

@@ -22,7 +22,7 @@ from fusion_sfdia.frozen_model.commissioned_model import Learnt, commissioned_wi
 from fusion_sfdia.frozen_model.frozen_bank import FrozenBank
 from fusion_sfdia.frozen_model.frozen_filter import unknowns
 from fusion_sfdia.frozen_model.windows import WINDOWS
-from fusion_sfdia.tuning.tail import counted, threshold, threshold_figures
+from fusion_sfdia.tuning.tail import counted, shortest, threshold, threshold_figures
 
 Array = NDArray[Any]
 
@@ -63,6 +63,12 @@ def tuned_frozen(plant: Plant, log: Log, at: Callable[[int, int], str], rate: Ra
         "log has once, or a fault"
         for b, a, z, times in learnt.unlike
     ]
+    least = shortest(rate.per_sample(dt))
+    if learnt.held_out.size < least:
+        remarks.append(
+            f"{learnt.held_out.size} healthy samples cannot show {rate}: thresholds are above all that this log has shown, and "
+            f"above what normal errors exceed at that rate; {least} samples would show it"
+        )
     if detector is alone:
         remarks.append(
             f"the adaptive bank isolates a sensor or names the process in {share:.2g} of these healthy rows: the frozen model "

@@ -49,7 +49,7 @@ def tune(
     plant: Plant | str,
     *healthy: Any,
     false_alarm: str | float | Rate = "1/day",
-    detector: str = registry.DEFAULT_DETECTOR,
+    detector: str = registry.COMMISSIONED,
     strict: bool = False,
     sources: Sequence[Source] = (),
     made: str = "",

@@ -41,7 +41,7 @@ def test_tune_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Path, 
         call(capsys, "simulate", *plant, "--steps", "250", "--seed", seed, "--process-noise", "--out", f"{name}.csv")
     tune = ("tune", *plant, "--healthy", "a.csv", "--healthy", "b.csv", "--false-alarm", "0.02")
     code, out, err = call(capsys, *tune)
-    assert code == 0 and out.startswith("robust-glr on chain, ") and out.endswith("in tuned.toml\n")
+    assert code == 0 and out.startswith("frozen-model on chain, ") and out.endswith("in tuned.toml\n")
     assert "learning from 500 samples" in err
     written = tomllib.loads(Path("tuned.toml").read_text())
     assert [row["file"] for row in written["healthy"]] == ["a.csv", "b.csv"]
@@ -68,7 +68,8 @@ def test_tune_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Path, 
     assert code == 0 and "s0" in [e["hypothesis"] for e in json.loads(out) if 230 <= e["start"] <= 234]
 
     # of another noise than the plant's, because nothing may have been learnt
-    louder = Path("tuned.toml").read_text().replace("s0 = { sigma = 1.0", "s0 = { sigma = 2.0")
+    assert call(capsys, *tune, "--detector", "robust-glr", "--out", "bank.toml")[0] == 0
+    louder = Path("bank.toml").read_text().replace("s0 = { sigma = 1.0", "s0 = { sigma = 2.0")
     Path("louder.toml").write_text(louder)
     code, out, _ = call(capsys, "inspect", *plant, "--tuned", "louder.toml", "--data", "b.csv", "--no-simulation", "--json")
     nis = [json.loads(out)["healthy"]["white"]["nis"]]
@@ -98,7 +99,7 @@ def test_tune_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Path, 
         (("--tuned", "tuned.toml", "--healthy", "0..100"), "--tuned and --healthy both state what is healthy; give one"),
         (
             ("--tuned", "tuned.toml", "--detector", "pca"),
-            "tuned.toml: it was tuned for robust-glr, not pca; leave --detector out",
+            "tuned.toml: it was tuned for frozen-model, not pca; leave --detector out",
         ),
         (("--tuned", "toy.py"), "toy.py is not a TOML file"),
         (("--healthy", "300..400"), "no reading from 300 to 400; the log goes from 1 s to 250 s"),
@@ -118,7 +119,7 @@ def test_tune_refuses_before_it_learns(
     call(capsys, "simulate", *plant, "--steps", "250", "--out", "a.csv")
     for arguments, reason in (
         (("--healthy", "a.csv", "--false-alarm", "1/moon"), "expected such as 1/day, 2/hour or 1e-3"),
-        (("--healthy", "a.csv"), "too short for 1/day (one sample in 8.64e+04): 250 samples"),
+        (("--healthy", "a.csv", "--detector", "robust-glr"), "too short for 1/day (one sample in 8.64e+04): 250 samples"),
         (("--healthy", "missing.csv"), "missing.csv"),
         (("--healthy", "a.csv", "--detector", "loo-gir", "--false-alarm", "0.1"), "unknown detector 'loo-gir'"),
     ):

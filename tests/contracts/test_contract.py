@@ -41,8 +41,8 @@ WITH_MODULES = {"marine-engine", "two-tanks"}
 OF_INPUTS = ("uio",)  # not applicable to the chain, which has none
 OF_MODULES = ("adaptive-threshold:", "virtual-sensors", "structural-residuals")
 SLOW = {("gas-pipeline", "fusing-ukf"), ("gas-pipeline", "fusing-enkf")}  # several seconds of calibration
-SLOW |= {("gas-pipeline", "frozen-model"), ("power-network", "frozen-model")}
 SLOW |= {("power-network", f"fusing-{kind}") for kind in ("ekf", "ukf", "enkf")}
+LONG = {("gas-pipeline", "frozen-model"), ("power-network", "frozen-model")}  # a minute each
 
 # Faults of 30 sigma that a method misses, by quantity. Shaheen 2024, (20), adds MPa to kg/s, so the extended filter's bank
 # detects a pressure fault but isolates another sensor; the printed unscented update leaves the process noise out of its gain,
@@ -121,7 +121,7 @@ def pairs() -> Iterator[object]:
                 continue  # it has no scalar equations to monitor, see the test of that
             if name in OF_INPUTS and plant == "chain":
                 continue
-            marks = [pytest.mark.slow] if (plant, name) in SLOW else []
+            marks = [pytest.mark.slow] if (plant, name) in SLOW else [pytest.mark.long] if (plant, name) in LONG else []
             marks += STRUCTURAL.marks if name in STRUCTURAL.values else []
             yield pytest.param((plant, name), id=f"{plant}/{name}", marks=marks)
 

@@ -48,6 +48,7 @@ def decisions(detector: FrozenBank, log: Log) -> Decision:
     return run(detector, detector.init(), log)[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensor", [0, 1])
 def test_an_abrupt_bias_of_a_level_sensor_is_named_where_lasting_patterns_have_two_explanations(sensor: int) -> None:
     """Over eight runs: the level or its outlet, says the frozen model; with the bank it is the level, and another sensor in at
@@ -90,6 +91,7 @@ def test_process_faults_are_named_by_either() -> None:
     assert names[-2:] == [NO_SINGLE_CAUSE.name, OUTSIDE.name] and len(set(names)) == len(names)
 
 
+@pytest.mark.slow
 def test_a_bank_that_does_not_keep_its_rate_on_the_healthy_log_is_left_out() -> None:
     law = heated_room()
     alone = FrozenBank.fit(law.plant(), log := law.record(2, 21, building=11), 1 / DAY)

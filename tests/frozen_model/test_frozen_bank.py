@@ -102,8 +102,11 @@ def test_hypotheses_without_a_size_become_events_of_their_own() -> None:
     assert [e.kind for e in found] == ["process", "outside"] and all(np.isnan(e.size) for e in found)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("make", PLANTS, ids=lambda make: make.__name__)
+@pytest.mark.parametrize(
+    "make",
+    [pytest.param(m, marks=pytest.mark.slow if m is tank_cascade else pytest.mark.long) for m in PLANTS],
+    ids=lambda make: make.__name__,
+)
 def test_a_wrong_law_blames_no_healthy_sensor(make: Any) -> None:
     """A day that was not learnt; a verdict of some rows may be "outside"."""
     law, detector = of(make)
@@ -112,8 +115,10 @@ def test_a_wrong_law_blames_no_healthy_sensor(make: Any) -> None:
     assert d.process is not None and np.mean(d.process[:, :-1].any(axis=1)) <= 0.02
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("make", "sensor"), [(tank_cascade, 4), (exchanger_pair, 2)])
+@pytest.mark.parametrize(
+    ("make", "sensor"),
+    [pytest.param(tank_cascade, 4, marks=pytest.mark.slow), pytest.param(exchanger_pair, 2, marks=pytest.mark.long)],
+)
 def test_a_drift_on_a_plant_with_a_wrong_law_is_named(make: Any, sensor: int) -> None:
     law, detector = of(make)
     count = len(law.sensors)

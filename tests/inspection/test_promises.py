@@ -11,7 +11,14 @@ from fusion_sfdia.kalman_banks.identifiability import identifiability
 
 RUNS, MET = 20, 18
 STEPS, FIRST, LAST = 190, 60, 100  # samples, and between which a fault begins
-PLANTS = ("two-tanks", "marine-engine", "gas-pipeline", "power-network", 531, 532)  # seeds of random ones
+PLANTS = (
+    "two-tanks",
+    "marine-engine",
+    "gas-pipeline",
+    pytest.param("power-network", marks=pytest.mark.long),
+    531,
+    532,
+)  # seeds
 
 
 def plant_of(name: str | int) -> Plant:

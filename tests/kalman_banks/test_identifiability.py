@@ -167,7 +167,7 @@ def require_mean_of_5(plant: Plant, M: Array, settled: GaussianState, y: Array) 
 @pytest.mark.parametrize("kind", ["bias", "drift"])
 @pytest.mark.parametrize(
     ("stated", "sensors"),
-    [(uncertain_tanks, range(4)), pytest.param(uncertain_engine, (0, 3, 7), marks=pytest.mark.slow)],
+    [(uncertain_tanks, range(4)), pytest.param(uncertain_engine, (0, 3, 7), marks=pytest.mark.long)],
     ids=["tanks", "engine"],
 )
 def test_the_smallest_detectable_faults_are_detected(stated: Callable[[], Plant], sensors: Iterable[int], kind: str) -> None:

@@ -51,6 +51,7 @@ def test_each_group_is_judged_by_a_detector_that_has_not_seen_it(methods: Method
     assert f"of {sum(found.samples)} held-out healthy samples in alarm" in str(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["bank", "predictors", "pls", "limits", "dynamic pca", "one-class"])
 def test_fresh_logs_are_in_alarm_at_most_three_times_as_often_as_stated(methods: Methods, name: str) -> None:
     found = calibrate(methods.fits[name], GROUPS, FALSE_ALARM)

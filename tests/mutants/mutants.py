@@ -80,14 +80,14 @@ MUTANTS = (
         "found[: w - 1] = np.nan",
         "found[:0] = np.nan",
         "tests/learning/test_learning_windows.py::test_a_mean_needs_half_of_the_rows_of_its_window_and_has_the_same_bits_in_any_piece_of_a_log",
-        quick=True,
+        quick=False,
     ),
     Mutant(
         "fusion_sfdia/learning/held_out.py",
         "np.sqrt(variance * (1 + 1 / count))",
         "np.sqrt(variance)",
         "tests/learning/test_learning_limits.py::test_a_tolerance_limit_holds_the_next_value_as_often_as_stated",
-        quick=True,
+        quick=False,
     ),
     Mutant(
         "fusion_sfdia/learning/causes.py",
@@ -240,7 +240,7 @@ MUTANTS = (
         "(z / _student_quantile(runs - 1)) ** 2",
         "(z / _student_quantile(runs - 1))",
         "tests/evaluation/test_metrics.py::test_auc_interval_is_that_of_auc_recomputed_without_each_run",
-        quick=True,
+        quick=False,
     ),
     Mutant(
         "fusion_sfdia/evaluation/metrics.py",
@@ -349,7 +349,7 @@ MUTANTS = (
         "ABSORBED = 2.0",
         "ABSORBED = 200.0",
         "tests/kalman_banks/test_competition.py::test_an_earlier_onset_is_preferred_where_it_is_clearly_the_likelier_one",
-        quick=True,
+        quick=False,
     ),
     Mutant(
         "fusion_sfdia/kalman_banks/competition.py",
@@ -466,7 +466,7 @@ MUTANTS = (
         "ONE_SIDED = 4.0",
         "ONE_SIDED = 400.0",
         "tests/kalman_banks/test_parameter_walk.py::test_a_walk_as_stated_adds_nothing_and_the_fastest_a_tenth_of_the_prior_deviation",
-        quick=True,
+        quick=False,
     ),
     Mutant(
         "fusion_sfdia/kalman_banks/parameter_walk.py",
@@ -623,7 +623,7 @@ MUTANTS = (
         "OVERSHOOT = 1.166",
         "OVERSHOOT = -1.166",
         "tests/kalman_banks/test_sequential_rules.py::test_the_limit_of_a_cumulative_sum_gives_the_stated_mean_time_between_false_alarms",
-        quick=True,
+        quick=False,
     ),
     Mutant(
         "fusion_sfdia/kalman_banks/sequential_rules.py",

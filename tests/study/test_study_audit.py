@@ -57,6 +57,7 @@ def test_every_row_that_is_judged_has_one_kind() -> None:
         assert sum(found.counts[1:]) == found.judged
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["robust-glr", "loo-glr", "limits"])
 def test_trials_that_are_run_together_have_the_outcomes_that_each_has_alone(name: str) -> None:
     detector = registry.detector(name, two_tanks())
@@ -65,6 +66,7 @@ def test_trials_that_are_run_together_have_the_outcomes_that_each_has_alone(name
         assert together == [outcomes(detector, BY_NAME[case], (seed,), 120)[0][0] for seed in (1, 2, 3)]
 
 
+@pytest.mark.slow
 def test_the_events_of_a_trial_are_those_of_a_diagnosis_of_its_log() -> None:
     """Among them none of a late sensor, which a diagnosis finds to be late."""
     plant = random_plant(511)
@@ -111,6 +113,7 @@ def test_random_plants_are_plants(seed: int) -> None:
     assert np.all(np.ptp(moved, axis=0) > 0)
 
 
+@pytest.mark.slow
 def test_an_audit_tells_what_a_detector_survives() -> None:
     detector = LeaveOneOutBank(two_tanks())
     found = audit(detector, seeds=(0, 1), steps=120, groups=("start", "cause"))

@@ -45,6 +45,7 @@ def test_the_file_gives_the_same_decisions(tmp_path: Path) -> None:
     assert "blocks that were not learnt" in text and "stated" in text and "nis" not in tuned().quality
 
 
+@pytest.mark.slow
 def test_what_is_not_healthy_is_left_out_and_listed_on_the_wall_clock() -> None:
     log = healthy()
     y = log.y.copy()

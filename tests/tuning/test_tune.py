@@ -180,7 +180,7 @@ def test_another_plant_is_refused_with_the_reason() -> None:
 )
 def test_a_log_with_a_fault_is_refused(log: Log, reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
-        tune(PLANT, log, false_alarm=RATE)
+        tune(PLANT, log, false_alarm=RATE, detector="robust-glr")
 
 
 def test_times_in_a_log_with_a_gap_are_those_of_its_clock() -> None:
@@ -192,20 +192,20 @@ def test_times_in_a_log_with_a_gap_are_those_of_its_clock() -> None:
     sources = [Source("january.csv", Clock(datetime(2026, 1, 1))), Source("july.csv", Clock(datetime(2026, 7, 1)))]
     frozen = f"until {datetime(2026, 7, 1) + timedelta(seconds=log.t[239])}"
     with pytest.raises(ValueError, match=f"'s0' shows the same reading 60 times .*, {frozen}: it is frozen"):
-        tune(PLANT, log, false_alarm=RATE, sources=sources[1:])
+        tune(PLANT, log, false_alarm=RATE, sources=sources[1:], detector="robust-glr")
     with pytest.raises(ValueError, match=f"'s0' .*, {frozen} of july.csv: it is frozen"):
-        tune(PLANT, one, log, false_alarm=RATE, sources=sources)
+        tune(PLANT, one, log, false_alarm=RATE, sources=sources, detector="robust-glr")
 
 
 def test_the_default_detector_is_that_of_the_commands() -> None:
-    assert inspect.signature(tune).parameters["detector"].default == registry.DEFAULT_DETECTOR == "robust-glr"
+    assert inspect.signature(tune).parameters["detector"].default == registry.COMMISSIONED == "frozen-model"
 
 
 def test_a_log_that_is_too_short_is_refused_with_the_shortest() -> None:
     with pytest.raises(ValueError, match=r"too short for 1/day .*: 1200 samples .* expected at least 2880 \(48\.0 minutes\)"):
-        tune(PLANT, healthy(), false_alarm="1/day")
+        tune(PLANT, healthy(), false_alarm="1/day", detector="robust-glr")
     with pytest.raises(ValueError, match="no stretch of 40 samples"):
-        tune(PLANT, Log(*(a[:30] for a in healthy())), false_alarm=RATE)
+        tune(PLANT, Log(*(a[:30] for a in healthy())), false_alarm=RATE, detector="robust-glr")
 
 
 @pytest.mark.slow
