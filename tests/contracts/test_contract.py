@@ -58,7 +58,6 @@ LONG = {("gas-pipeline", "frozen-model"), ("power-network", "frozen-model")}  # 
 # what learns its thresholds from such recordings, the printed unscented bank too, finds no bias of 30 sigma in most of them.
 # Structural residuals: all that read the receiver's pressure but one read the torque, too, and that one, of the turbine's
 # temperature, shows an eighth of the fault, hardly its limit: without it either sensor alone explains the alarms.
-# Without its start, to which a frozen model gives no weight, the fault of a flow meter is a change of its outlet.
 # Without trust in the inputs of an area a wrong reading of its valve is a wrong reference or load, which it shows best.
 LATE = {("two-tanks", "robust-glr"): 4}  # samples in which a change of an outlet explains a flow as well
 MISSED = {
@@ -70,7 +69,6 @@ MISSED = {
     ("power-network", "fusing-ekf"): {"angle"},
     ("power-network", "fusing-ukf"): {"angle", "speed", "mechanical power", "valve"},
     ("power-network", "fusing-enkf"): {"angle", "speed", "mechanical power", "valve"},
-    ("two-tanks", "frozen-model"): {"flow"},
     ("power-network", "limits"): {"angle", "mechanical power", "valve"},
     ("power-network", "limits-ewma"): {"angle", "mechanical power", "valve"},
     ("power-network", "kf-chi2"): {"speed"},
