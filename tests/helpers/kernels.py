@@ -1,9 +1,9 @@
 """Run the numerical tests with the kernels of other processors: `python tests/helpers/kernels.py [arguments of pytest]`.
 
 OpenBLAS and NumPy choose their code by processor, and sums taken in another order round otherwise. Each kernel of `KERNELS`
-gives a run of the quick tests, all but the folders and files of `NOT_NUMERICAL`: a new file takes part unless it is named
-there; the oldest is run with NumPy's baseline, as on a processor of its time. What this machine cannot run is left out and
-reported, and so is the kernel that all tests run with here anyway.
+gives a run of the quick tests, all but the folders and files of `NOT_NUMERICAL` and the contract on large plants: a new file takes
+part unless it is named there; the oldest is run with NumPy's baseline, as on a processor of its time. What this machine cannot run
+is left out and reported, and so is the kernel that all tests run with here anyway.
 """
 
 from __future__ import annotations
@@ -26,13 +26,16 @@ KERNELS = {"Prescott": ("SSE3", "X86_V2"), "Haswell": ("AVX2", "X86_V3"), "Skyla
 # folders and files with little arithmetic of their own: the command line, reports, scenario runs, files and processes,
 # FMUs, which calculate by themselves
 NOT_NUMERICAL = (
-    "benchmarks", "cli", "comparison", "experiments", "fmu", "live", "logs", "mutants", "report",
+    "benchmarks", "cli", "comparison", "experiments", "fmu", "live", "logs", "monitoring", "mutants", "report", "study",
     "test_architecture.py", "test_diagnose.py", "test_engine_virtual_sensors.py", "test_entry_points.py", "test_events.py",
-    "test_files.py", "test_kind_trials.py", "test_nomenclature.py", "test_notebooks.py", "test_package.py", "test_readme.py",
+    "test_files.py", "test_kind_trials.py",
+    "test_lag.py", "test_nomenclature.py", "test_notebooks.py", "test_package.py", "test_readme.py",
     "test_references.py", "test_registry.py", "test_results_pages.py", "test_site.py",
     "test_site_examples.py", "test_storage.py",
     "test_valve_log.py",
 )  # fmt: skip
+# The contract on the two largest plants takes as long as all else; their numbers are in the tests of the plants themselves.
+SMALL = ("-k", "not (test_contract and (gas-pipeline or power-network))")
 
 
 def settings() -> dict[str, dict[str, str]]:
@@ -67,7 +70,7 @@ def main(arguments: Sequence[str]) -> int:
     for name, variables in settings().items():
         print(f"\n-- {name}: {' '.join(f'{k}={v!r}' for k, v in variables.items())}", flush=True)
         start = time.monotonic()
-        command = [sys.executable, "-m", "pytest", "-q", *arguments, *map(str, files)]
+        command = [sys.executable, "-m", "pytest", "-q", *SMALL, *arguments, *map(str, files)]
         if subprocess.run(command, env=os.environ | variables, cwd=folder.parent, check=False).returncode:
             failed.append(name)
         print(f"-- {name}: {time.monotonic() - start:.0f} s", flush=True)
