@@ -1,9 +1,9 @@
 """Run the numerical tests with the kernels of other processors: `python tests/helpers/kernels.py [arguments of pytest]`.
 
 OpenBLAS and NumPy choose their code by processor, and sums taken in another order round otherwise. Each kernel of `KERNELS`
-gives a run of the quick tests, all but the folders and files of `NOT_NUMERICAL` and the contract on large plants: a new file takes
-part unless it is named there; the oldest is run with NumPy's baseline, as on a processor of its time. What this machine cannot run
-is left out and reported, and so is the kernel that all tests run with here anyway.
+gives a run of the quick tests, all but the folders and files of `NOT_NUMERICAL` and the contract on large plants: a new file
+takes part unless it is named there; the oldest is run with NumPy's baseline, as on a processor of its time. What this machine
+cannot run is left out and reported, and so is the kernel that all tests run with here anyway.
 """
 
 from __future__ import annotations
