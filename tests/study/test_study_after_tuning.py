@@ -19,7 +19,7 @@ RUNS, LENGTH = 8, 600
 def tuned(plant: str, kind: str, seed: int) -> Detector:
     """`robust-glr` tuned on a healthy log with that kind of noise."""
     made = registry.plant(plant)
-    return tune(made, trial(made, BY_NAME[kind], seed, LENGTH).log, false_alarm=1e-3).detector(made)
+    return tune(made, trial(made, BY_NAME[kind], seed, LENGTH).log, false_alarm=1e-3, detector="robust-glr").detector(made)
 
 
 def shares(plant: str, kind: str, later: Case, seed: int) -> dict[str, float]:
