@@ -10,8 +10,8 @@ for a fault of a sensor when the change ends. So what it says counts
   at most `ONSET` rows after the event began: an abrupt onset is evidence that lasting patterns do not use;
 - never against a sensor that the frozen model names, and never outside the healthy log.
 
-What no longer counts, and the end of an event, begin the bank anew, at the unknowns of commissioning and with
-states as uncertain as at a start. The numbers are of simulated tanks and an engine.
+What no longer counts, and the end of an event, begin the bank anew, at the unknowns of commissioning and with states as
+uncertain as at a start. The numbers were chosen on simulated tanks, an engine and a cascade of tanks with a wrong law.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ from fusion_sfdia.kalman_banks.robust_memory import RobustMemory
 
 Array = NDArray[Any]
 
-TRUSTED = 20  # rows
-ONSET = 30  # rows
+TRUSTED = 20  # rows for which the bank is believed where the frozen model shows nothing
+ONSET = 30  # rows after an event began, in which the bank tells what has just begun
 RATE = 0.002  # share of healthy rows in which the bank may isolate a sensor or name the process, to be used at all
 
 
@@ -110,12 +110,17 @@ class CommissionedBank(FrozenBank):
         lost = other.diverged  # then from the estimate of the frozen model
         anew = np.asarray((overruled & (not starting)) | ends | lost)
         if anew.any():
-            n, (x, P) = len(self.plant.states), of_runs(lost, frozen.tracked.core, bank.estimate)
-            begun = self._begun(x[..., :n], P[..., :n, :n] + dense(self.plant.initial_cov), now.seed)
-            begun = begun._replace(noise=bank.noise, pairs=bank.pairs)
-            bank = of_runs(anew, begun, bank)
+            n = len(self.plant.states)
+            own, others = ((z[..., :n], P[..., :n, :n]) for z, P in (bank.estimate, frozen.tracked.core))
+            x, P = of_runs(lost, others, own)
+            begun = self._begun(x, P + dense(self.plant.initial_cov), now.seed)
+            noise, pairs = of_runs(lost, (begun.noise, begun.pairs), (bank.noise, bank.pairs))
+            bank = of_runs(anew, begun._replace(noise=noise, pairs=pairs), bank)
             held = np.where(anew[..., None], 0.0, held)
         return BothMemory(frozen, bank, held), self._together(channel, other, counts)
+
+    def _readmitted(self, memory: BothMemory, t: float, which: Array) -> BothMemory:
+        return memory._replace(bank=self._bank._readmitted(memory.bank, t, which))
 
     def share_isolated(self, log: Log) -> float:
         """The share of the rows of healthy runs y (K, B, N) in which the bank by itself isolates a sensor or names the process.

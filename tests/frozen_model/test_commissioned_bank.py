@@ -108,6 +108,24 @@ def test_saved_and_loaded_and_scaled_it_is_the_same_detector(tmp_path: Path) -> 
     assert both()._bank.threshold_scale == 1.0
 
 
+def test_a_bank_whose_estimate_is_lost_begins_anew_and_names_what_follows() -> None:
+    log = with_bias(40, 2, 8.0, 60)
+    state, _ = run(both(), both().init(), Log(*(a[:60] for a in log)))
+    bank = state.memory.bank
+    nothing = bank.estimate._replace(x=np.full_like(bank.estimate.x, np.nan))
+    lost = state._replace(memory=state.memory._replace(bank=bank._replace(estimate=nothing)))
+    after, d = run(both(), lost, Log(*(a[60:] for a in log)))
+    assert np.isfinite(after.memory.bank.estimate.x).all() and not d.diverged.any()
+    assert d.isolated[ONSET - 60 + 5 : ONSET, 2].mean() >= 0.9
+
+
+def test_a_sensor_that_was_repaired_is_used_again_by_the_bank() -> None:
+    log = with_bias(40, 2, 8.0, 60)
+    state, _ = run(both(), both().init(), Log(*(a[: ONSET + 30] for a in log)))
+    assert state.memory.bank.exclusion.out[2]
+    assert not both().readmit(state, PLANT.sensor_names[2]).memory.bank.exclusion.out.any()
+
+
 def test_runs_are_judged_alone_as_in_a_batch() -> None:
     logs = [with_bias(40, 0, 5.0, 60), with_bias(41, 2, 8.0, 60), with_bias(42, 1, 0.0, 60)]
     batch = Log(logs[0].t, np.stack([log.y for log in logs], axis=1), logs[0].u)
