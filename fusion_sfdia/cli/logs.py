@@ -12,6 +12,7 @@ from typing import Any
 
 from fusion_sfdia.cli.options import OR_TUNED, add_columns, add_detector, add_plant, add_tuned, columns, printed_warnings
 from fusion_sfdia.core.numerals import integer
+from fusion_sfdia.registry import COMMISSIONED
 
 
 def add_simulate(commands: Any) -> None:
@@ -46,7 +47,7 @@ def add_diagnose(commands: Any) -> None:
     """Add `diagnose`."""
     one = commands.add_parser("diagnose", help="diagnose the faults in a log", allow_abbrev=False)
     _add_log(one)
-    add_detector(one, OR_TUNED)
+    add_detector(one, f"{OR_TUNED}; {COMMISSIONED} with --healthy")
     add_tuned(one)
     one.add_argument(
         "--healthy",

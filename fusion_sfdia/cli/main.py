@@ -21,7 +21,7 @@ from fusion_sfdia.cli.inspect import add_inspect
 from fusion_sfdia.cli.listing import add_list
 from fusion_sfdia.cli.logs import add_check_log, add_diagnose, add_simulate
 from fusion_sfdia.cli.monitor import add_monitor
-from fusion_sfdia.cli.options import OnceParser
+from fusion_sfdia.cli.options import OnceParser, named_detector
 from fusion_sfdia.cli.runs import add_compare, add_run
 from fusion_sfdia.cli.signals import handled
 from fusion_sfdia.cli.speed import add_bench
@@ -29,7 +29,6 @@ from fusion_sfdia.cli.tune import add_tune
 from fusion_sfdia.cli.watch import add_watch
 from fusion_sfdia.core.plain_text import PlainStream
 from fusion_sfdia.core.references import is_reference
-from fusion_sfdia.registry import COMMISSIONED, DEFAULT_DETECTOR
 
 
 def parser() -> argparse.ArgumentParser:
@@ -98,8 +97,7 @@ def detector_of(chosen: argparse.Namespace) -> str | None:
     """The registered detector that a command runs; None where it runs none, or a file names it."""
     if chosen.command not in ("diagnose", "tune", "watch") or getattr(chosen, "tuned", None):
         return None
-    learns = chosen.command == "tune" or getattr(chosen, "healthy", None)
-    name = chosen.detector or (COMMISSIONED if learns else DEFAULT_DETECTOR)
+    name = named_detector(chosen)
     return None if is_reference(name) else name
 
 

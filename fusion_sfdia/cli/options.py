@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion_sfdia.registry import DEFAULT_DETECTOR
+from fusion_sfdia.registry import COMMISSIONED, DEFAULT_DETECTOR
 
 if TYPE_CHECKING:
     from fusion_sfdia.core.plant import Plant
@@ -29,6 +29,12 @@ def add_plant(one: Any) -> None:
 def add_detector(one: Any, otherwise: str = DEFAULT_DETECTOR) -> None:
     """Add --detector; None where it is not given. otherwise: which one is used then."""
     one.add_argument("--detector", help=f"{WHICH} (default: {otherwise})")
+
+
+def named_detector(chosen: argparse.Namespace) -> str:
+    """The detector of a command: as named, or the default, which is another one where a healthy log is learnt from."""
+    learns = chosen.command == "tune" or getattr(chosen, "healthy", None)
+    return str(chosen.detector or (COMMISSIONED if learns else DEFAULT_DETECTOR))
 
 
 def add_tuned(one: Any, what: str = "plant and detector") -> None:

@@ -10,7 +10,17 @@ from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion_sfdia.cli.options import add_columns, add_detector, add_plant, columns, loaded, printed_warnings, warn, warn_of
+from fusion_sfdia.cli.options import (
+    add_columns,
+    add_detector,
+    add_plant,
+    columns,
+    loaded,
+    named_detector,
+    printed_warnings,
+    warn,
+    warn_of,
+)
 from fusion_sfdia.registry import COMMISSIONED, DEFAULT_DETECTOR
 
 if TYPE_CHECKING:
@@ -99,7 +109,7 @@ def diagnosing_detector(chosen: argparse.Namespace) -> tuple[str, Any, Any]:
 
     if chosen.tuned:
         raise ValueError("--tuned and --healthy both state what is healthy; give one")
-    plant, name = registry.plant(chosen.plant), chosen.detector or COMMISSIONED
+    plant, name = registry.plant(chosen.plant), named_detector(chosen)
     whole = check_log(chosen.data, plant, chosen.map, **columns(chosen))
     tuned = on_stretch(plant, without_suspects(plant, whole).log, chosen.healthy, name, whole.clock)
     for remark in tuned.quality["remarks"]:
@@ -131,7 +141,7 @@ def _tuned(chosen: argparse.Namespace) -> int:
         model,
         *(one.log for one in logs),
         false_alarm=chosen.false_alarm,
-        detector=chosen.detector or COMMISSIONED,
+        detector=named_detector(chosen),
         strict=chosen.strict,
         sources=[Source(str(path), one.clock) for path, one in zip(chosen.healthy, logs, strict=True)],
         made=date.today().isoformat(),

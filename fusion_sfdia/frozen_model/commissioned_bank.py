@@ -6,8 +6,8 @@ for a fault of a sensor when the change ends. So what it says counts
 
 - while the frozen model shows nothing: for `TRUSTED` rows, but not soon after an event, and then only while a window shows that
   cause at all;
-- while the frozen model shows suspects or the process: of a sensor that explains the event, where the bank has isolated it
-  at most `ONSET` rows after the event began: an abrupt onset is evidence that lasting patterns do not use;
+- while the frozen model shows suspects or the process: of a cause that explains an event with an abrupt onset, where the bank
+  has named it at most `ONSET` rows after the event began: the onset is evidence that lasting patterns do not use;
 - never against a sensor that the frozen model names, and never outside the healthy log.
 
 What no longer counts, and the end of an event, begin the bank anew, at the unknowns of commissioning and with states as
@@ -136,7 +136,8 @@ class CommissionedBank(FrozenBank):
                 tracked, _ = frozen.step(tracked, before, t - before, y, u)
             else:
                 bank = self._begun(tracked.core.x[..., : len(first)], first, 0) if bank is None else bank
-                bank, found = self._bank._judge(bank, TimeStep(before, t, t - before, 0, k - settle + 1), y, u)
+                with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # as in a step
+                    bank, found = self._bank._judge(bank, TimeStep(before, t, t - before, 0, k - settle + 1), y, u)
                 assert found.process is not None
                 hits += int(np.sum(found.isolated.any(axis=-1) | found.process.any(axis=-1)))
             before = t
@@ -144,10 +145,10 @@ class CommissionedBank(FrozenBank):
 
     def _counts(self, seen: Witness, channel: Decision, held: Array, starting: bool) -> Array:
         """Which of the bank's causes count (..., N + P) that it has held for so many rows."""
-        _, cause, _ = self._places
-        explains, shown = (a[..., cause] & (cause >= 0) for a in (seen.explains, seen.shown))
         if starting:
             return np.ones(held.shape, bool)
+        _, cause, _ = self._places
+        explains, shown = (a[..., cause] & (cause >= 0) for a in (seen.explains, seen.shown))
         named = np.asarray(channel.isolated.any(axis=-1))[..., None]
         at_onset = seen.abrupt[..., None] & (seen.age[..., None] - held <= ONSET)
         event = (seen.age > 0)[..., None]

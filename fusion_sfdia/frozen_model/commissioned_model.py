@@ -45,7 +45,6 @@ KAPPAS = (0.0, 0.003, 0.01, 0.03, 0.1, 0.3)
 SURE, LEAST_SD = 0.975, 0.2  # quantile of the largest T of another block, and least sd of its logarithm
 LOOSE, LOOSE_MEANS = 0.02, 0.01  # of the diagonal of a covariance, added
 PRIOR = 2  # windows for each sensor, that the covariance of independent rows counts for
-PRIOR = 2  # windows for each sensor, that the covariance of independent rows counts for
 BLOCK, FEWEST, MOST = 500, 4, 16  # rows of a block, and how many
 BEYOND = 12.0  # by which deviations may grow a range of the log beyond it: twice as what a straight line misses of a parabola
 FOLDS = 8  # neighbouring blocks are left out together: operation changes slowly
@@ -60,8 +59,8 @@ class Frozen(NamedTuple):
     values (p,). coef B (N, q); mean, scale (q,) of the regressors; whiten W (q, q), W W' the inverse of their second moment;
     low, high (q,): their range, infinite where no error depends on them.
     cov (W, N, N), kappa (W,), limit (W,) of each window, inf where the log is too short for it. share (N,): of the rows in
-    which a sensor has a reading. variance (N,): of its innovation, the median. repeats (N,):
-    the longest run of equal readings. settle: rows without a verdict.
+    which a sensor has a reading. variance (N,): of its innovation, the median. repeats (N,): the longest run of equal readings.
+    settle: rows without a verdict.
     """
 
     values: Array

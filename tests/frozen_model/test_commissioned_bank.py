@@ -99,7 +99,7 @@ def test_a_bank_that_does_not_keep_its_rate_on_the_healthy_log_is_left_out() -> 
     assert detector is alone and share > 100 * RATE
 
 
-def test_saved_and_loaded_and_scaled_it_is_the_same_detector(tmp_path: Path) -> None:
+def test_saved_and_loaded_it_is_the_same_detector(tmp_path: Path) -> None:
     save_detector(tmp_path / "both.npz", both())
     log = with_bias(40, 0, 5.0, 60)
     one, other = (decisions(d, log) for d in (both(), load_detector(tmp_path / "both.npz", PLANT)))
@@ -136,8 +136,7 @@ def test_runs_are_judged_alone_as_in_a_batch() -> None:
         np.testing.assert_array_equal(single.estimate, together.estimate[:, b])
 
 
-def test_the_plant_of_a_fixture_has_the_same_bank(tmp_path: Path) -> None:
-    """A plant without declared unknowns has a bank with nothing to adapt, and both agree on a large bias."""
+def test_a_large_bias_is_named_on_another_plant_with_process_noise() -> None:
     plant = tanks()
     found = simulate(plant, 1500, [1], process_noise=True)
     detector, _ = with_bank(FrozenBank.fit(plant, found, 1e-3), found)

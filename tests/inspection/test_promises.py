@@ -18,7 +18,7 @@ PLANTS = (
     pytest.param("power-network", marks=pytest.mark.long),
     531,
     532,
-)  # seeds
+)  # seeds of random ones
 
 
 def plant_of(name: str | int) -> Plant:
