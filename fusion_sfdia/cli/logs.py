@@ -10,7 +10,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from fusion_sfdia.cli.options import OR_TUNED, add_columns, add_detector, add_plant, add_tuned, columns, printed_warnings
+from fusion_sfdia.cli.options import (
+    OR_TUNED,
+    add_columns,
+    add_detector,
+    add_kept_monitor,
+    add_plant,
+    add_tuned,
+    columns,
+    kept_monitor,
+    printed_warnings,
+)
 from fusion_sfdia.core.numerals import integer
 from fusion_sfdia.registry import COMMISSIONED
 
@@ -49,6 +59,7 @@ def add_diagnose(commands: Any) -> None:
     _add_log(one)
     add_detector(one, f"{OR_TUNED}; {COMMISSIONED} with --healthy")
     add_tuned(one)
+    add_kept_monitor(one)
     one.add_argument(
         "--healthy",
         metavar="FROM..TO",
@@ -177,6 +188,8 @@ def _listed(kind: str, sensor: str, plant: Any) -> str:
 
 
 def _diagnose(chosen: argparse.Namespace) -> int:
+    if chosen.monitor is not None:
+        return _by_monitor(chosen)
     from fusion_sfdia.cli.tune import diagnosing_detector
     from fusion_sfdia.core.files import locked
     from fusion_sfdia.core.verdicts import Verdict
@@ -215,6 +228,14 @@ def _untuned(chosen: argparse.Namespace) -> str:
         "the model is suspect and was not tuned to the real plant, so that events may be its errors: tune it with "
         f"`fusion-sfdia tune{given} --healthy HEALTHY.csv`, on a log without a fault, then diagnose with --tuned tuned.toml"
     )
+
+
+def _by_monitor(chosen: argparse.Namespace) -> int:
+    from fusion_sfdia.cli.monitor import monitored
+
+    monitor = kept_monitor(chosen)
+    say = partial(print, file=sys.stderr if chosen.json else sys.stdout, flush=True)
+    return monitored(chosen, chosen.out or Path("diagnosis") / chosen.data.stem, lambda: monitor, say)
 
 
 def _finite(value: Any) -> Any:

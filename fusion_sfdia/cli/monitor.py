@@ -33,8 +33,6 @@ def add_monitor(commands: Any) -> None:
 
 
 def _monitor(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.core.files import locked
-
     if bool(chosen.healthy) == bool(chosen.monitor):
         raise ValueError("state healthy logs with --healthy, or what was learnt from them before with --monitor")
     if chosen.monitor and (chosen.inputs or chosen.ignore or chosen.false_alarm or chosen.save):
@@ -43,33 +41,20 @@ def _monitor(chosen: argparse.Namespace) -> int:
         raise ValueError("state the log to diagnose with --data, or where to keep what is learnt with --save")
     say = partial(print, file=sys.stderr if chosen.json else sys.stdout, flush=True)
     if chosen.data is None:
-        _learnt(chosen, _map(chosen), say)
+        _learnt(chosen, say)
         return 0
-    out = chosen.out or Path("monitor") / chosen.data.stem
-    with locked(out, force=chosen.force):
-        return _diagnose(chosen, out, say)
+    return monitored(chosen, chosen.out or Path("monitor") / chosen.data.stem, partial(_learnt, chosen, say), say)
 
 
-def _map(chosen: argparse.Namespace) -> Any:
-    from fusion_sfdia.logs.log_map import PLAIN_MAP, load_map
-
-    return load_map(chosen.map) if chosen.map else PLAIN_MAP
-
-
-def _learnt(chosen: argparse.Namespace, log_map: Any, say: Any) -> Any:
+def _learnt(chosen: argparse.Namespace, say: Any) -> Any:
     """The monitor: read, or learnt and, where that is asked for, saved."""
     from fusion_sfdia.learning.monitor import FALSE_ALARM, Monitor
-    from fusion_sfdia.monitoring.logs import load, signals_of
 
     if chosen.monitor:
         return Monitor.load(chosen.monitor)
-    sensors, inputs = signals_of(chosen.healthy[0], chosen.inputs, chosen.ignore, log_map)
-    loaded = [load(path, sensors, inputs, log_map) for path in chosen.healthy]
-    for path, one in zip(chosen.healthy, loaded, strict=True):
-        say(f"{path}:\n{indent(str(one), '  ')}")
     monitor = Monitor.fit(
-        sensors, [one.log for one in loaded], inputs=inputs, false_alarm=chosen.false_alarm or FALSE_ALARM,
-        names=[path.name for path in chosen.healthy], clocks=[one.clock for one in loaded],
+        chosen.healthy, inputs=chosen.inputs, ignore=chosen.ignore, log_map=chosen.map,
+        false_alarm=chosen.false_alarm or FALSE_ALARM, say=lambda path, log: say(f"{path}:\n{indent(str(log), '  ')}"),
     )  # fmt: skip
     if chosen.save:
         monitor.save(chosen.save)
@@ -78,24 +63,24 @@ def _learnt(chosen: argparse.Namespace, log_map: Any, say: Any) -> Any:
     return monitor
 
 
-def _diagnose(chosen: argparse.Namespace, out: Path, say: Any) -> int:
-    from fusion_sfdia.core.files import all_or_none, atomic_write
+def monitored(chosen: argparse.Namespace, out: Path, learnt: Any, say: Any) -> int:
+    """Diagnose the log `chosen.data` into a folder, with the monitor that `learnt` gives."""
+    from fusion_sfdia.core.files import all_or_none, atomic_write, locked
     from fusion_sfdia.core.plain_text import plain
-    from fusion_sfdia.monitoring.logs import load
     from fusion_sfdia.report.log_page import About
     from fusion_sfdia.report.log_report import FILES, write_diagnosis
 
-    log_map = _map(chosen)
-    monitor = _learnt(chosen, log_map, say)
-    data = load(chosen.data, monitor.channels.sensors, monitor.channels.inputs, log_map)
-    say(f"{chosen.data}:\n{indent(str(data), '  ')}")
-    with printed_warnings():
-        found, log = monitor.diagnose(data.log, data.clock), monitor.on_grid(data.log)
-    about = About(chosen.data.name, "the monitor", basis="judged by healthy logs, without a model")
-    with all_or_none(out) as new:
-        write_diagnosis(new, monitor.plant, log.y, log.u, found, about)
-        with atomic_write(new / OWN_FILE) as file:
-            file.write(plain(f"{monitor}\n\n{found}\n"))
+    with locked(out, force=chosen.force):
+        monitor = learnt()
+        data = monitor.read(chosen.data, chosen.map)
+        say(f"{chosen.data}:\n{indent(str(data), '  ')}")
+        with printed_warnings():
+            found, log = monitor.diagnose(data), monitor.on_grid(data.log)
+        about = About(chosen.data.name, "the monitor", basis="judged by healthy logs, without a model")
+        with all_or_none(out) as new:
+            write_diagnosis(new, monitor.plant, log.y, log.u, found, about)
+            with atomic_write(new / OWN_FILE) as file:
+                file.write(plain(f"{monitor}\n\n{found}\n"))
     say(f"{found}\n{', '.join((OWN_FILE, *FILES))}: in {out}")
     if chosen.json:
         header, rows = found.table()

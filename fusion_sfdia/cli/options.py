@@ -18,12 +18,13 @@ if TYPE_CHECKING:
 
 WHICH = "a name that `list` shows, module:attribute or path/file.py:attribute"
 OR_TUNED = f"{DEFAULT_DETECTOR}, or that of --tuned where `list` shows it"
+PLANT = "gas-pipeline"
 OF_COLUMNS = ("absent_sensors", "other_columns", "nominal_inputs")
 
 
 def add_plant(one: Any) -> None:
     """Add --plant."""
-    one.add_argument("--plant", default="gas-pipeline", help=f"{WHICH}, or a model.fmu (default: gas-pipeline)")
+    one.add_argument("--plant", default=PLANT, help=f"{WHICH}, or a model.fmu (default: {PLANT})")
 
 
 def add_detector(one: Any, otherwise: str = DEFAULT_DETECTOR) -> None:
@@ -40,6 +41,25 @@ def named_detector(chosen: argparse.Namespace) -> str:
 def add_tuned(one: Any, what: str = "plant and detector") -> None:
     """Add --tuned."""
     one.add_argument("--tuned", type=Path, metavar="TUNED.toml", help=f"the {what} that `tune` has tuned")
+
+
+def add_kept_monitor(one: Any) -> None:
+    """Add --monitor, in place of a plant and a detector."""
+    one.add_argument("--monitor", type=Path, metavar="FILE", help="judge by what `monitor --save` has kept, without a model")
+
+
+def kept_monitor(chosen: argparse.Namespace) -> Any:
+    """The monitor of --monitor; ValueError where a plant or a detector is stated beside it."""
+    from fusion_sfdia.learning.monitor import Monitor
+
+    stated = {"--detector": chosen.detector, "--tuned": chosen.tuned, "--healthy": getattr(chosen, "healthy", None)}
+    stated |= {f"--{name.replace('_', '-')}": getattr(chosen, name) for name in OF_COLUMNS}
+    stated["--plant"] = chosen.plant != PLANT
+    if given := [name for name, value in stated.items() if value]:
+        raise ValueError(
+            f"{', '.join(given)} and --monitor: a monitor has no model, and knows its columns; leave one of them out"
+        )
+    return Monitor.load(chosen.monitor)
 
 
 def add_columns(one: Any, inputs: str = "where the log has no column") -> None:

@@ -10,7 +10,16 @@ from datetime import UTC, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion_sfdia.cli.options import OR_TUNED, add_columns, add_detector, add_plant, add_tuned, columns
+from fusion_sfdia.cli.options import (
+    OR_TUNED,
+    add_columns,
+    add_detector,
+    add_kept_monitor,
+    add_plant,
+    add_tuned,
+    columns,
+    kept_monitor,
+)
 from fusion_sfdia.core.numerals import decimal, integer
 
 if TYPE_CHECKING:
@@ -34,6 +43,7 @@ def add_watch(commands: Any) -> None:
     add_plant(one)
     add_detector(one, OR_TUNED)
     add_tuned(one)
+    add_kept_monitor(one)
     one.add_argument("--map", type=Path, metavar="MAP.toml", help="how rows are written: columns, units, bad texts")
     one.add_argument("--opcua", metavar="URL", help="read the rows from an OPC UA server, such as opc.tcp://host:4840")
     one.add_argument("--nodes", type=Path, metavar="NODES.toml", help="which nodes are read and written, with --opcua")
@@ -117,22 +127,23 @@ def _watched(chosen: argparse.Namespace) -> int:
         if (url := getattr(chosen, option)) is not None:
             address(f"--{option}", url, SCHEMES[option])
     refused, log_map = Remarks(_say), load_map(chosen.map) if chosen.map else PLAIN_MAP
-    _, bound = bound_detector(chosen.plant, chosen.detector, chosen.tuned)
-    settings = {
-        "hold": log_map.hold if chosen.hold is None else chosen.hold,
-        "nominal_inputs": chosen.nominal_inputs,
-        "at_sample": log_map.inputs == AT_THE_SAMPLE or bool(chosen.opcua or chosen.mqtt),
-        "longest_gap": chosen.longest_gap,
-        "reorder": chosen.reorder,
-        "keep_last": log_map.duplicates == "last",
-        "kinds": not chosen.no_kinds,
-        "refused": refused,
-    }
-    if chosen.state is not None and chosen.state.exists():
-        watch = Watch.load(chosen.state, bound, **settings)
-        _say(f"{chosen.state}: goes on after {watch.clock.at(watch.t or 0.0)}")
+    settings = {"reorder": chosen.reorder, "keep_last": log_map.duplicates == "last", "refused": refused}
+    if chosen.longest_gap is not None:
+        settings["longest_gap"] = chosen.longest_gap
+    state = chosen.state if chosen.state is not None and chosen.state.exists() else None
+    if chosen.monitor is not None:
+        watch = kept_monitor(chosen).stream(state, **settings)
     else:
-        watch = Watch(bound, **settings)
+        _, bound = bound_detector(chosen.plant, chosen.detector, chosen.tuned)
+        settings |= {
+            "hold": log_map.hold if chosen.hold is None else chosen.hold,
+            "nominal_inputs": chosen.nominal_inputs,
+            "at_sample": log_map.inputs == AT_THE_SAMPLE or bool(chosen.opcua or chosen.mqtt),
+            "kinds": not chosen.no_kinds,
+        }
+        watch = Watch(bound, **settings) if state is None else Watch.load(state, bound, **settings)
+    if state is not None:
+        _say(f"{state}: goes on after {watch.clock.at(watch.t or 0.0)}")
     status = Status(watch, remarks=lambda: refused.count, silent=chosen.silent_after)
     saved = SavedWatch(
         watch, _write, chosen.state, chosen.save_every, chosen.samples, status=status, undivided=chosen.interruption.deferred
@@ -163,7 +174,8 @@ def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap) -> Non
     from fusion_sfdia.live.rows import TextRows, lines
 
     watch = saved.watch
-    rows = TextRows(watch.detector.plant, log_map, **columns(chosen), refused=watch.refused)
+    allowed = columns(chosen) if chosen.monitor is None else {"other_columns": True}
+    rows = TextRows(watch.detector.plant, log_map, **allowed, refused=watch.refused)
     if watch.clock.start is not None and watch.t is not None:
         rows.last = watch.clock.start.astimezone(UTC) + timedelta(seconds=watch.t)
     for number, line in enumerate(lines(sys.stdin.buffer, LONGEST_LINE), start=1):

@@ -78,11 +78,11 @@ def conclusion_of(decision: Decision, y: Array, tested: Sequence[ProcessHypothes
     if np.any(decision.capped):
         return Conclusion(Verdict.UNDECIDED, TOO_MANY)
     if decision.process is not None and decision.process.any():
-        kinds = {h.kind for h, accepted in zip(tested, decision.process, strict=True) if accepted} if tested else {"process"}
-        if kinds != {"outside"}:
+        accepted = [h for h, holds in zip(tested, decision.process, strict=True) if holds] if tested else []
+        if not accepted or any(h.kind != "outside" for h in accepted):
             return Conclusion(Verdict.PROCESS)
         if not decision.isolated.any():
-            return Conclusion(Verdict.OUTSIDE, "no healthy log has such an operation")
+            return Conclusion(Verdict.OUTSIDE, ", ".join(h.name for h in accepted))
     if decision.isolated[y.size :].any():
         return Conclusion(Verdict.PROCESS)
     if decision.isolated.any():

@@ -48,8 +48,27 @@ class Causes(NamedTuple):
         return np.asarray((self.kind != OK) & (self.kind != OUTSIDE))
 
 
-def causes(learnt: Learnt, found: Judged) -> Causes:
-    """The verdict of each row."""
+class Trouble(NamedTuple):
+    """What of the rows before decides whether sensors are named, counted to the next row.
+
+    until, last: rows until which the process keeps them from it, and since the last row in trouble, negative; process, sensor:
+    rows of such verdicts since the trouble began; moved (n,): sensors that have "moved" since.
+    """
+
+    until: int
+    last: int
+    process: int
+    sensor: int
+    moved: Array
+
+    @classmethod
+    def none(cls, channels: int) -> Trouble:
+        """At the beginning."""
+        return cls(-1, -REST - 1, 0, 0, np.zeros(channels, bool))
+
+
+def causes(learnt: Learnt, found: Judged, before: Trouble | None = None) -> tuple[Causes, Trouble]:
+    """The verdict of each row, and what the next ones take from them."""
     tests = learnt.limits.tests
     total, n = found.ratio.shape[1:]
     channels = found.means[1].now.shape[1]
@@ -71,17 +90,10 @@ def causes(learnt: Learnt, found: Judged) -> Causes:
     kind[found.stopped.any(axis=1) & (kind == OK)] = SENSOR
     kind[found.together] = RECORDER
     named[found.together] = suspect[found.together] = False
-    _hold(kind, named, suspect, found.stopped, scale)
+    trouble = _hold((kind, named, suspect), found.stopped, scale, before or Trouble.none(channels))
     shown = np.maximum(top, np.where(found.stopped.any(axis=1), found.ratio[stops].max(axis=(0, 2)), 0.0))
-    return Causes(
-        kind,
-        named,
-        suspect,
-        size,
-        scale,
-        np.maximum(shown, np.maximum(found.novel.max(axis=0), found.unlike.max(axis=1))),
-        outside,
-    )
+    shown = np.maximum(shown, np.maximum(found.novel.max(axis=0), found.unlike.max(axis=1)))
+    return Causes(kind, named, suspect, size, scale, shown, outside), trouble
 
 
 def _explain(learnt: Learnt, found: Judged, ratio: Array, rows: Array, into: tuple[Array, ...]) -> None:
@@ -244,11 +256,13 @@ def _words(learnt: Learnt, ratio: Array, rows: Array, kind: Array, named: Array,
             kind[row] = MOVED
 
 
-def _hold(kind: Array, named: Array, suspect: Array, stopped: Array, scale: Array) -> None:
-    """While trouble is mostly the process, no sensor is named but those that stopped; nor is one that has "moved" before."""
-    n = stopped.shape[1]
-    until, last, process, sensor = -1, -REST - 1, 0, 0
-    moved = np.zeros(named.shape[1], bool)
+def _hold(verdicts: tuple[Array, Array, Array], stopped: Array, scale: Array, before: Trouble) -> Trouble:
+    """While trouble is mostly the process, no sensor is named but those that stopped; nor is one that has "moved" before.
+
+    verdicts: kind (K,), named and suspect (K, n), which change.
+    """
+    (kind, named, suspect), n = verdicts, stopped.shape[1]
+    until, last, process, sensor, moved = before._replace(moved=before.moved.copy())
     for k in np.flatnonzero(kind != OK).tolist():
         if k - last > REST and k > until:
             process = sensor = 0
@@ -272,3 +286,5 @@ def _hold(kind: Array, named: Array, suspect: Array, stopped: Array, scale: Arra
                 kind[k] = SENSOR if named[k].any() else MOVED
             sensor += 1
         last = k
+    rows = len(kind)
+    return Trouble(until - rows, last - rows, process, sensor, moved)

@@ -17,7 +17,6 @@ from scipy.stats import skew
 from fusion_sfdia.core.arguments import require_unique
 from fusion_sfdia.core.gaps import LONG
 from fusion_sfdia.core.log import Log
-from fusion_sfdia.core.regularity import equal_readings
 from fusion_sfdia.core.signals import Signal
 
 Array = NDArray[Any]
@@ -101,16 +100,37 @@ def _means(v: Array, at: Array, steps: int) -> Array:
         return np.where(count == 0, np.nan, np.where(least == most, least, total / count))
 
 
-def held(v: Array, hold: Array) -> Array:
-    """Readings v (K, n) with the last one in place of missing ones for so many rows (n,), 0 for none."""
-    k, last = np.arange(len(v))[:, None], _last_read(v)
-    found = np.take_along_axis(v, np.maximum(last, 0), axis=0)
-    return np.where((last >= 0) & ((k - last <= hold) | (k == last)), found, np.nan)
+class Read(NamedTuple):
+    """Up to each row: the last reading of each column, NaN before the first; the rows since then, before the first those since
+    the beginning; and how many readings in a row were equal, (K, n), or (n,) of one row.
+    """
+
+    value: Array
+    age: Array
+    equal: Array
+
+    @classmethod
+    def none(cls, columns: int) -> Read:
+        """Before the first row."""
+        return cls(np.full(columns, np.nan), np.zeros(columns), np.zeros(columns))
+
+    def held(self, hold: Array) -> Array:
+        """The last readings for so many rows (n,), 0 for those of the row alone; NaN after that."""
+        return np.where((self.age <= hold) | (self.age == 0), self.value, np.nan)
 
 
-def _last_read(v: Array) -> Array:
-    """The row of the last reading up to each row of v (K, n), -1 before the first."""
-    return np.asarray(np.maximum.accumulate(np.where(np.isfinite(v), np.arange(len(v))[:, None], -1), axis=0))
+def read(v: Array, before: Read | None = None) -> Read:
+    """What was read up to each row of v (K, n), NaN where missing; before: up to the row before the first."""
+    before = before or Read.none(v.shape[1])
+    k, known = np.arange(len(v))[:, None], np.isfinite(v)
+    last = np.maximum.accumulate(np.where(known, k, -1), axis=0)
+    own = last >= 0
+    value = np.where(own, np.take_along_axis(v, np.maximum(last, 0), axis=0), before.value)
+    count = np.cumsum(known, axis=0)
+    new = known & (v != np.concatenate([before.value[None], value[:-1]]))
+    began = np.maximum.accumulate(np.where(new, count, 0), axis=0)
+    equal = np.where(began > 0, count - began + 1, before.equal + count)
+    return Read(value, np.where(own, k - last, before.age + k + 1).astype(float), equal.astype(float))
 
 
 def _in_logs(v: Array, floor: Array) -> Array:
@@ -151,8 +171,8 @@ class Channels:
         return int(np.sum(self.used < len(self.sensors)))
 
     def scaled(self, v: Array) -> Array:
-        """Scaled readings z (K, q) of readings v (K, n) of all columns, held where they are written on change."""
-        return np.asarray((_in_logs(held(v, self.hold)[:, self.used], self.floor) - self.mean) / self.sd)
+        """Scaled readings z (K, q) of what was read of all columns (K, n), those that are written on change held."""
+        return np.asarray((_in_logs(v[:, self.used], self.floor) - self.mean) / self.sd)
 
     def size(self, i: int, v: float, z: float) -> float:
         """By how much a reading v of the channel i is off in its unit, where it is off by z standard deviations."""
@@ -161,12 +181,19 @@ class Channels:
         return float(z * self.sd[i])
 
 
+def deviations(channels: Channels) -> Array:
+    """The deviation of the readings of each column (n,) when healthy, in its unit; 1 of those without one."""
+    found, plain = np.ones(channels.hold.size), ~np.isfinite(channels.floor)
+    found[channels.used[plain]] = channels.sd[plain]
+    return found
+
+
 def learn_channels(sensors: Sequence[Signal], inputs: Sequence[Signal], logs: Sequence[Sequence[Piece]]) -> Channels:
     """Which columns of healthy logs, each in pieces, can be learnt; ValueError where fewer than two can."""
     signals = (*sensors, *inputs)
     require_unique("signals of a log", [s.name for s in signals])
     hold = _hold(logs, len(signals))
-    v = np.concatenate([held(piece.v, hold) for log in logs for piece in log])
+    v = np.concatenate([read(piece.v).held(hold) for log in logs for piece in log])
     there = np.concatenate([piece.rows >= 0 for log in logs for piece in log])
     left_out: dict[str, str] = {}
     still: dict[str, float] = {}
@@ -236,18 +263,3 @@ def _floor(v: Array) -> float:
     floor = FLOOR * float(np.quantile(known[known > 0], 0.01))
     after = float(skew(np.log(np.maximum(known, floor))))
     return floor if abs(after) <= abs(before) / 2 else np.nan
-
-
-def repeats(v: Array) -> Array:
-    """How many readings in a row were equal (K, N), each row of v included; missing ones count as the one before."""
-    found = np.zeros(v.shape)
-    for i, column in enumerate(v.T):
-        at, starts, lengths = equal_readings(column)
-        found[at, i] = np.arange(at.size) - np.repeat(starts, lengths) + 1
-    last = _last_read(v)
-    return np.where(last >= 0, np.take_along_axis(found, np.maximum(last, 0), axis=0), 0.0)
-
-
-def absences(v: Array) -> Array:
-    """How many readings in a row were missing, each row of v (K, N) included."""
-    return np.asarray((np.arange(len(v))[:, None] - _last_read(v)).astype(float))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.clock import Clock
-from fusion_sfdia.core.detector import Decision, ProcessHypothesis
+from fusion_sfdia.core.detector import Decision, ProcessHypothesis, joined
 from fusion_sfdia.core.gaps import Gap
 from fusion_sfdia.core.linear import linear_plant
 from fusion_sfdia.core.plant import Plant
@@ -20,9 +20,8 @@ from fusion_sfdia.core.signals import Sensor
 from fusion_sfdia.evaluation.diagnose import Diagnosis
 from fusion_sfdia.evaluation.events import Event, UndecidedEvent, listed, median, spans, with_unit
 from fusion_sfdia.learning.causes import MOVED, ONE_OF, OUTSIDE, PROCESS, RECORDER, Causes
-from fusion_sfdia.learning.channels import Channels, Piece
+from fusion_sfdia.learning.channels import Channels, deviations
 from fusion_sfdia.learning.judging import Judged
-from fusion_sfdia.learning.residuals import Test
 
 Array = NDArray[Any]
 
@@ -31,6 +30,12 @@ BRIEF, CLEAR = 3, 2.0  # rows of an event, and times its limit, up to which a se
 PERHAPS = 0.3  # the confidence of these, our choice: below even, and not measured
 JOINED = 16  # rows: events of one verdict that are fewer apart are one
 PROCESS_NAME, TOGETHER = "the process", "readings that move together"
+TESTED = (
+    ProcessHypothesis(TOGETHER, "1", "unnamed", np.nan),
+    ProcessHypothesis("operation outside the healthy logs", "1", "outside", np.nan),
+    ProcessHypothesis("the recorder stopped", "1", "outside", np.nan),
+    ProcessHypothesis("a reading that never moved when healthy", "1", "outside", np.nan),
+)
 
 
 @dataclass(frozen=True)
@@ -83,11 +88,15 @@ class StillEvent(Event):
         return f"{self.hypothesis} moved {self.when(clock)}, by {with_unit(f'{self.size:.4g}', self.unit)}; never when healthy"
 
 
+HOW = ("", "freeze", "dropout", "noise")  # what shows a sensor: where it is noise, that alone
+FREEZE, DROPOUT, NOISY = 1, 2, 3
+
+
 class Verdicts(NamedTuple):
     """The verdicts on a piece of a log: times t (K,), readings (K, n) of all columns on its grid, and what was found.
 
     ratio, sizes (K, N): of each sensor that is used the largest statistic over its limit, and by how much it is off in its
-    unit where it is named.
+    unit where it is named. how (K, N): the place in `HOW` of what shows it.
     """
 
     t: Array
@@ -95,17 +104,7 @@ class Verdicts(NamedTuple):
     causes: Causes
     ratio: Array
     sizes: Array
-    tests: tuple[Test, ...]
-    ratios: Array
-
-    def how(self, i: int, a: int, b: int) -> Array:
-        """Rows a to b of sensor i: "freeze", "dropout", "noise" where only that shows it, else "" (K,)."""
-        kinds = np.array([t.kind for t in self.tests])
-        part = self.ratios[:, a:b, i]
-        repeats, missing = (part[kinds == k].max(axis=0) > 1 for k in ("repeats", "missing"))
-        noisy = part[np.isin(kinds, ("noise", "spike"))].max(axis=0)
-        rest = part[np.isin(kinds, ("level", "change"))].max(axis=0)
-        return np.where(repeats, "freeze", np.where(missing, "dropout", np.where((noisy > 1) & (rest <= 1), "noise", "")))
+    how: Array
 
     def most(self, a: int, b: int, names: Sequence[str]) -> tuple[str, ...]:
         """The sensors that are furthest off in rows a to b, at most three."""
@@ -113,14 +112,29 @@ class Verdicts(NamedTuple):
         return tuple(names[i] for i in np.argsort(-share, kind="stable")[:3] if share[i] > 0)
 
 
-def verdicts_of(channels: Channels, piece: Piece, found: Judged, by: Causes) -> Verdicts:
-    """The verdicts on a piece, with sizes in the units of the sensors."""
+def verdicts_of(channels: Channels, t: Array, v: Array, found: Judged, by: Causes) -> Verdicts:
+    """The verdicts on rows at t (K,), v (K, n), with sizes in the units of the sensors."""
     sizes = np.full(by.size.shape, np.nan)
-    own = piece.v[:, channels.used]
+    own = v[:, channels.used]
     for k, i in np.argwhere(np.isfinite(by.size)).tolist():
         sizes[k, i] = channels.size(i, own[k, i], by.size[k, i])
-    tests = found.tests
-    return Verdicts(piece.t, piece.v, by, found.ratio.max(axis=0), sizes, tests, found.ratio)
+    kinds = np.array([test.kind for test in found.tests])
+
+    def over(*which: str) -> Array:
+        return np.asarray(found.ratio[np.isin(kinds, which)].max(axis=0) > 1)
+
+    noisy = over("noise", "spike") & ~over("level", "change")
+    how = np.where(over("repeats"), FREEZE, np.where(over("missing"), DROPOUT, np.where(noisy, NOISY, 0))).astype(np.int8)
+    return Verdicts(t, v, by, found.ratio.max(axis=0), sizes, how)
+
+
+def joined_verdicts(parts: Sequence[Verdicts]) -> Verdicts:
+    """The verdicts on rows that follow each other, as one."""
+    if len(parts) == 1:
+        return parts[0]
+    by = Causes(*(np.concatenate(each) for each in zip(*(p.causes for p in parts), strict=True)))
+    t, values, _, *rest = (list(each) for each in zip(*parts, strict=True))
+    return Verdicts(np.concatenate(t), np.concatenate(values), by, *(np.concatenate(each) for each in rest))
 
 
 def diagnosed(
@@ -133,39 +147,56 @@ def diagnosed(
     order = {"process": 0, "outside": 1, "undecided": 2, "sensor": 3}
     events.sort(key=lambda e: (order[e.kind], e.start, e.hypothesis))
     gaps = tuple(Gap(float(a.t[-1]), float(b.t[0]), round(float(b.t[0] - a.t[-1]) / dt), True) for a, b in pairwise(found))
-    tested = (ProcessHypothesis(TOGETHER, "", "process", np.nan),)
-    return Diagnosis(tuple(events), _decisions(channels, found, t, y), t, tested, clock, gaps, of_log=of_log)
+    decisions = joined([decisions_of(channels, v) for v in found])
+    return Diagnosis(tuple(events), decisions, t, tested(channels), clock, gaps, of_log=of_log)
 
 
 def plant_of(channels: Channels, dt: float) -> Plant:
-    """The signals as a plant that does nothing, for reports; sigma: the deviation of the readings when healthy."""
-    sigma = np.ones(len(channels.sensors))
-    plain = channels.used[: channels.count][~np.isfinite(channels.floor[: channels.count])]
-    sigma[plain] = channels.sd[: channels.count][~np.isfinite(channels.floor[: channels.count])]
+    """The signals as a plant that does nothing; sigma: the deviation of the readings when healthy."""
+    sigma, zero = deviations(channels)[: len(channels.sensors)], np.zeros(len(channels.sensors))
     sensors = [Sensor(s.name, s.name, s.unit, sigma=float(v)) for s, v in zip(channels.sensors, sigma, strict=True)]
-    return linear_plant(
-        "monitored plant", np.zeros((1, 1)), np.zeros((len(sensors), 1)), sensors,
+    made = linear_plant(
+        "monitored plant", np.eye(1), zero[:, None], sensors,
         dt=dt, x0=np.zeros(1), initial_cov=np.ones(1), process_cov=np.ones(1), inputs=channels.inputs,
     )  # fmt: skip
+    numerics = replace(made.numerics, fixed_dt=False)
+    return replace(
+        made, numerics=numerics, step=lambda t, x, u, dt: x, output=lambda t, x, u: np.zeros((*x.shape[:-1], zero.size))
+    )
 
 
-def _decisions(channels: Channels, found: Sequence[Verdicts], t: Array, y: Array) -> Decision:
-    rows, starts = len(t), np.cumsum([0, *(len(v.t) for v in found)])
-    count, n = len(channels.sensors), channels.count
-    own = channels.used[:n]
-    isolated, residual = np.zeros((rows, count), bool), np.full((rows, count), np.nan)
-    size = np.full((rows, count), np.nan)
-    for v, a in zip(found, starts, strict=False):
-        part = slice(a, a + len(v.t))
-        isolated[part, own] = v.causes.named[:, :n]
-        residual[part, own] = np.where(np.isfinite(v.values[:, own]) | v.causes.named[:, :n], v.ratio, np.nan)
-        size[part, own] = v.sizes
-    made = np.where(isolated, y - size, y)
-    no = np.zeros(rows, bool)
+def tested(channels: Channels) -> tuple[ProcessHypothesis, ...]:
+    """What the trouble may be besides a sensor: `TESTED`, and the inputs, which are suspected and never named."""
+    return (*TESTED, *(ProcessHypothesis(s.name, s.unit, "input", np.nan) for s in channels.inputs))
+
+
+def decisions_of(channels: Channels, v: Verdicts) -> Decision:
+    """The verdicts on rows as Decisions (K, ...), of all sensors and of what is `tested` besides."""
+    rows, count, n = len(v.t), len(channels.sensors), channels.count
+    own, y, kind = channels.used[:n], v.values[:, :count], v.causes.kind
+    isolated, residual, size = np.zeros((rows, count), bool), np.full((rows, count), np.nan), np.full((rows, count), np.nan)
+    isolated[:, own] = v.causes.named[:, :n]
+    residual[:, own] = np.where(np.isfinite(y[:, own]) | v.causes.named[:, :n], v.ratio, np.nan)
+    size[:, own] = v.sizes
+    suspect = np.zeros((rows, count + len(TESTED) + len(channels.inputs)), bool)
+    suspect[:, own] = v.causes.suspect[:, :n]
+    suspect[:, channels.used[n:] + len(TESTED)] = v.causes.suspect[:, n:]
+    suspect[kind == MOVED, count] = True
+    moved = np.any([_off(channels, y, i) for i in range(count)], axis=0)
+    process = np.zeros((rows, len(TESTED) + len(channels.inputs)), bool)
+    process[:, : len(TESTED)] = np.stack([kind == PROCESS, kind == OUTSIDE, kind == RECORDER, moved], axis=1)
+    no, none = np.zeros(rows, bool), np.full(process.shape, np.nan)
     return Decision(
-        estimate=np.zeros((rows, 1)), reconstruction=made, residual=residual, threshold=np.ones((rows, count)),
-        isolated=isolated, fault_size=np.where(isolated, size, np.nan), diverged=no, guarded=no, nis=np.full(rows, np.nan),
+        estimate=np.zeros((rows, 1)), reconstruction=np.where(isolated, y - size, y), residual=residual,
+        threshold=np.ones((rows, count)), isolated=isolated, fault_size=np.where(isolated, size, np.nan), diverged=no,
+        guarded=no, nis=np.full(rows, np.nan), capped=no, process=process, process_size=none, process_sd=none, suspect=suspect,
     )  # fmt: skip
+
+
+def _off(channels: Channels, y: Array, i: int) -> Array:
+    """Where a sensor that never moved in the healthy logs has moved (K,)."""
+    usual = channels.still.get(channels.sensors[i].name, np.nan)
+    return np.asarray(np.isfinite(y[:, i]) & np.isfinite(usual) & (y[:, i] != usual))
 
 
 def _events(channels: Channels, v: Verdicts, t_end: float) -> list[Event]:
@@ -180,7 +211,7 @@ def _events(channels: Channels, v: Verdicts, t_end: float) -> list[Event]:
     for i in range(n):
         for a, b in spans(v.causes.named[:, i], JOINED):
             held = v.causes.named[a : b + 1, i]
-            how = str(Counter(v.how(i, a, b + 1)[held].tolist()).most_common(1)[0][0])
+            how = HOW[Counter(v.how[a : b + 1, i][held].tolist()).most_common(1)[0][0]]
             value = median(v.sizes[a : b + 1, i]) if how == "" else np.nan
             brief = np.sum(held) <= BRIEF and np.max(v.ratio[a : b + 1, i]) < CLEAR
             first = _stopped_at(v.values[:, channels.used[i]], a) if how in ("freeze", "dropout") else a
@@ -228,7 +259,7 @@ def _still(channels: Channels, t: Array, y: Array) -> list[Event]:
     for i, signal in enumerate(channels.sensors):
         if signal.name in channels.still:
             off = y[:, i] - channels.still[signal.name]
-            for a, b in spans(np.isfinite(off) & (off != 0), JOINED):
+            for a, b in spans(_off(channels, y, i), JOINED):
                 size = median(off[a : b + 1])
                 found.append(StillEvent(signal.name, float(t[a]), float(t[b]), size, signal.unit, b == len(t) - 1))
     return found

@@ -59,9 +59,54 @@ class Judged(NamedTuple):
         return np.asarray(np.any(self.novel > 1, axis=0) | np.any(self.unlike > 1, axis=1))
 
 
-def judged(learnt: Learnt, rows: Rows) -> Judged:
-    """Judge the rows of a piece."""
+class Tails(NamedTuple):
+    """Of the last rows, oldest first: scaled readings as they are and with far ones limited (K, n), errors of single readings
+    (K, N), whether they were in trouble by short windows, and whether a sensor had stopped (K,).
+    """
+
+    z: Array
+    limited: Array
+    change: Array
+    unquiet: Array
+    stops: Array
+
+    def and_then(self, *rows: Array) -> Tails:
+        """With the rows that follow."""
+        return Tails(*(np.concatenate(both) for both in zip(self, rows, strict=True)))
+
+    def last(self, rows: int) -> Tails:
+        """Of the last so many rows."""
+        return Tails(*(a[max(len(a) - rows, 0) :] for a in self))
+
+    def padded(self, rows: int) -> Tails:
+        """With zeros in front, so many rows."""
+        return Tails(*(np.concatenate([np.zeros((rows - len(a), *a.shape[1:]), a.dtype), a]) for a in self))
+
+
+class Before(NamedTuple):
+    """What the rows before leave to the tests. operation: rows since the present operation began."""
+
+    tails: Tails
+    operation: int
+
+    @classmethod
+    def none(cls, learnt: Learnt) -> Before:
+        """At the beginning."""
+        n, count = len(learnt.familiar[0].centre), learnt.limits.limit.shape[1]
+        no = np.zeros(0, bool)
+        return cls(Tails(np.zeros((0, n)), np.zeros((0, n)), np.zeros((0, count)), no, no), 0)
+
+
+def reach(learnt: Learnt) -> int:
+    """How many rows before a row its tests take."""
+    return max(2 * max(s.w for s in learnt.familiar), max(NOISE) + QUIET, learnt.longest)
+
+
+def judged(learnt: Learnt, rows: Rows, before: Before | None = None) -> tuple[Judged, Before]:
+    """Judge the rows that follow on others, of which at least the last `reach` are given; and what is before the next ones."""
     n, tests, limits = learnt.limits.limit.shape[1], learnt.limits.tests, learnt.limits.limit
+    before = before or Before.none(learnt)
+    new = slice(len(before.tails.z), None)  # these rows among all
     at = {test: k for k, test in enumerate(tests)}
     ratio = np.zeros((len(tests), len(rows.z), n), np.float32)
 
@@ -80,9 +125,10 @@ def judged(learnt: Learnt, rows: Rows) -> Judged:
     tested = {scale.w: scale for scale in learnt.model if Test("level", scale.w) in at}
     familiar = {scale.w: scale for scale in learnt.familiar}
 
-    starts = _operations(learnt, z)
-    plain = stacked(z, [1])
-    own = _as_tested(learnt, plain, starts, [1])[1]
+    every_z = np.concatenate([before.tails.z, z])
+    starts = _operations(learnt, every_z, new.start - before.operation, new.start)
+    plain = stacked(every_z, [1])
+    own = _as_tested(learnt, plain, starts, [1])[1].at(new)
     found = level_errors(tested[1], own, n)
     off = np.fmax(set_ratio("level", 1, found.level), set_ratio("change", 1, found.change))
     most = NOISE_CLIP * limits[at[Test("change", 1)]]
@@ -91,41 +137,46 @@ def judged(learnt: Learnt, rows: Rows) -> Judged:
     limited = z.copy()  # of the sensor that is off most alone: errors of others may be due to it
     worst = (off == off.max(axis=1, keepdims=True)) & (np.mean(off > 1, axis=1, keepdims=True) <= FEW)
     limited[:, :n] -= np.where(worst, beyond, 0.0)
+    known = before.tails.and_then(z, limited, found.change, np.zeros(len(z), bool), stopped.any(axis=1))
 
-    every = {**stacked(limited, list(familiar)), 1: plain[1]}
-    noisy = {w: noise(found.change, w, most) for w in NOISE}
+    full = {**stacked(known.limited, list(familiar)), 1: plain[1]}
+    every = {w: means.at(new) for w, means in full.items()}
+    noisy = {w: noise(known.change, w, most)[new] for w in NOISE}
     novel = np.stack([_novelty(scale, every[scale.w].now) for scale in learnt.familiar])
     short = [w for w in tested if w <= QUIET]
-    means = {**_as_tested(learnt, every, starts, short), 1: own}
+    means = {**{w: m.at(new) for w, m in _as_tested(learnt, full, starts, short).items()}, 1: own}
     for w in short[1:]:
         e = level_errors(tested[w], means[w], n)
         set_ratio("level", w, e.level), set_ratio("change", w, e.change)
     if Test("noise", QUIET) in at:
         set_ratio("noise", QUIET, noisy[QUIET])
     fast = np.array([scale.w <= QUIET for scale in learnt.familiar])
-    unquiet = np.any(ratio > 1, axis=(0, 2)) | np.any(novel[fast] > 1, axis=0)
-    ended = window_sums(unquiet[:, None].astype(float), QUIET)[:, :1] == 0
-    calm = stacked(np.where(unquiet[:, None], np.nan, limited), list(familiar))
+    known.unquiet[new] = np.any(ratio > 1, axis=(0, 2)) | np.any(novel[fast] > 1, axis=0)
+    trouble = known.unquiet[:, None]
+    ended = window_sums(trouble.astype(float), QUIET)[:, :1] == 0
+    calm = stacked(np.where(trouble, np.nan, known.limited), list(familiar))
     for k, scale in enumerate(learnt.familiar):
         if scale.w > QUIET:
-            every[scale.w] = _either(ended, calm[scale.w], every[scale.w])
+            full[scale.w] = _either(ended, calm[scale.w], full[scale.w])
+            every[scale.w] = full[scale.w].at(new)
             novel[k] = _novelty(scale, every[scale.w].now)
     long = [w for w in tested if w > QUIET]
-    means |= _as_tested(learnt, every, starts, long)
+    means |= {w: m.at(new) for w, m in _as_tested(learnt, full, starts, long).items()}
     for w in long:
         e = level_errors(tested[w], means[w], n)
         set_ratio("level", w, e.level), set_ratio("change", w, e.change)
-    change = np.where(unquiet[:, None], np.nan, found.change)
-    stops = stopped.any(axis=1)[:, None].astype(float)
+    change = np.where(trouble, np.nan, known.change)
+    stops = known.stops[:, None].astype(float)
     for w in NOISE:
         if Test("noise", w) in at:
-            set_ratio("noise", w, np.where(ended, noise(change, w, most), noisy[w]))
-            ratio[at[Test("noise", w)]][window_sums(stops, w)[:, 0] > 0] = 0.0
+            set_ratio("noise", w, np.where(ended[new], noise(change, w, most)[new], noisy[w]))
+            ratio[at[Test("noise", w)]][window_sums(stops, w)[new, 0] > 0] = 0.0
     unlike, levels = _unlike(learnt, every, n), np.array([t.kind == "level" for t in tests])
     drifted = np.flatnonzero(learnt.limits.trend)  # while they were learnt: too little is known of their level
     unlike[:, drifted] = np.fmax(unlike[:, drifted], ratio[np.ix_(levels, np.arange(len(z)), drifted)].max(axis=0))
     ratio[np.ix_(levels, np.arange(len(z)), drifted)] = 0.0
-    return Judged(tests, means, every, ratio, novel, unlike, stopped, together)
+    left = Before(known.last(reach(learnt)), len(every_z) - starts[-1])
+    return Judged(tests, means, every, ratio, novel, unlike, stopped, together), left
 
 
 def _as_tested(learnt: Learnt, every: dict[int, Means], starts: Sequence[int], scales: Sequence[int]) -> dict[int, Means]:
@@ -135,29 +186,28 @@ def _as_tested(learnt: Learnt, every: dict[int, Means], starts: Sequence[int], s
     return about_reference(every, starts, scales)
 
 
-def _operations(learnt: Learnt, z: Array) -> list[int]:
-    """The rows in which operations begin: the first, after the longest learnt run, and where the leading scores about the
-    beginning are as in no learnt run whichever sensor is left out.
+def _operations(learnt: Learnt, z: Array, start: int, new: int) -> list[int]:
+    """The rows in which operations begin: the present one, and, among the new rows, after the longest learnt run, and where the
+    leading scores about the beginning are as in no learnt run whichever sensor is left out.
     """
     if learnt.absolute is None:
         return [0]
     scale = max((s for s in learnt.model if s.w <= QUIET), key=lambda s: s.w)
     means = stacked(z, [scale.w])
-    starts = [0]
+    starts = [start]
     while True:
-        about = about_reference({scale.w: means[scale.w]}, starts, [scale.w])[scale.w].now
-        part = about[starts[-1] :]
-        new = novelty(scale, part) > scale.limit
-        rows = np.flatnonzero(new)
+        first = max(starts[-1], new)
+        part = about_reference({scale.w: means[scale.w]}, starts, [scale.w])[scale.w].now[first:]
+        rows = np.flatnonzero(novelty(scale, part) > scale.limit)
         for s in range(z.shape[1]):
             if rows.size:
                 rows = rows[novelty(scale, blank(part[rows], s)) > scale.limit]
-        ends = [int(rows[0])] if rows.size else []
-        if learnt.longest < len(part):
-            ends.append(learnt.longest)
-        if not ends or min(ends) < 1:
+        ends = [first + int(rows[0])] if rows.size else []
+        if starts[-1] + learnt.longest < len(z):
+            ends.append(starts[-1] + learnt.longest)
+        if not ends or min(ends) <= starts[-1]:
             return starts
-        starts.append(starts[-1] + min(ends))
+        starts.append(min(ends))
 
 
 def _unlike(learnt: Learnt, every: dict[int, Means], n: int) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.clock import Clock
+from fusion_sfdia.core.gaps import LONG, SKIPPED
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.rate import Rate, lasting
@@ -19,13 +20,16 @@ from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.core.storage import read_arrays, write_arrays
 from fusion_sfdia.evaluation.diagnose import Diagnosis
 from fusion_sfdia.evaluation.events import with_unit
-from fusion_sfdia.learning.causes import causes
 from fusion_sfdia.learning.channels import Channels, learn_channels, pieces_of, usual_step
-from fusion_sfdia.learning.diagnosis import SECONDS, Verdicts, diagnosed, plant_of, verdicts_of
+from fusion_sfdia.learning.diagnosis import JOINED, SECONDS, Verdicts, diagnosed, joined_verdicts, plant_of
 from fusion_sfdia.learning.held_out import WITNESS, Learnt, learn
-from fusion_sfdia.learning.judging import judged
+from fusion_sfdia.learning.live import LiveMonitor, Past, follow
 from fusion_sfdia.learning.residuals import rows_of
 from fusion_sfdia.learning.saved import packed, unpacked
+from fusion_sfdia.learning.unmodelled_logs import load, signals_of
+from fusion_sfdia.live.watch import Watch
+from fusion_sfdia.logs.findings import LoadedLog
+from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap, load_map
 
 Array = NDArray[Any]
 
@@ -33,6 +37,8 @@ FALSE_ALARM = 0.01  # share of rows: some hundred healthy rows support no lower 
 SUPPORTED = 4.0  # rows in alarm that the healthy rows would hold at the lowest rate that they can set
 FOUND = 1.3  # standard deviations above its limit: a lasting bias of so much is found with a probability of 0.9
 LEAST = 64  # healthy rows
+AT_ONCE = 8192  # rows: of more, a log is judged in parts
+FEWEST, CLOSEST = 20, 0.1  # rows of a log from which on its step is judged, by this quantile of their distances
 VERSION = 1
 
 
@@ -54,6 +60,39 @@ class Monitor:
 
     @classmethod
     def fit(
+        cls,
+        healthy: Any,
+        *,
+        inputs: Sequence[str] = (),
+        ignore: Sequence[str] = (),
+        log_map: LogMap | str | Path | None = None,
+        false_alarm: float | str | Rate = FALSE_ALARM,
+        say: Callable[[Any, LoadedLog], object] = lambda source, log: None,
+    ) -> Monitor:
+        """Learn from healthy logs: a file or a pandas frame, or a sequence of them, each of one run.
+
+        inputs, ignore: titles of columns that act on the plant, and that are left out; all others but the time are sensors.
+        log_map: how the logs are written, or the file that states it. false_alarm: share of rows in alarm, or such as "1/week".
+        say: called with each log as it was read. ValueError for files that cannot be read, for logs that do not fit or are too
+        short, and where no channel can be learnt.
+        """
+        sources = list(healthy) if isinstance(healthy, list | tuple) else [healthy]
+        if not sources:
+            raise ValueError("there are no healthy logs; expected at least one")
+        written = _map(log_map)
+        sensors, signals = signals_of(sources[0], inputs, ignore, written)
+        loaded = []
+        for source in sources:
+            loaded.append(load(source, sensors, signals, written))
+            say(source, loaded[-1])
+        names = [Path(s).name if isinstance(s, str | Path) else f"healthy log {k}" for k, s in enumerate(sources, start=1)]
+        return cls.of_logs(
+            sensors, [one.log for one in loaded], inputs=signals, false_alarm=false_alarm, names=names,
+            clocks=[one.clock for one in loaded],
+        )  # fmt: skip
+
+    @classmethod
+    def of_logs(
         cls,
         sensors: Sequence[Signal],
         healthy: Sequence[Log],
@@ -87,7 +126,7 @@ class Monitor:
         least = SUPPORTED / rows
         pieces = [p for log in logs for p in log]
         of = [k for k, log in enumerate(logs) for _ in log]
-        learnt = learn([rows_of(channels, p) for p in pieces], channels.count, max(per_row, least), of)
+        learnt = learn([rows_of(channels, p.v)[0] for p in pieces], channels.count, max(per_row, least), of)
         clocks = list(clocks) or [SECONDS] * len(healthy)
         named = list(names) or [f"healthy log {k}" for k in range(1, len(healthy) + 1)]
         origin = tuple(
@@ -111,8 +150,18 @@ class Monitor:
         values = np.concatenate([p.v for p in pieces])
         return Log(np.concatenate([p.t for p in pieces]), values[:, :count], values[:, count:])
 
-    def diagnose(self, log: Log, clock: Clock = SECONDS) -> Diagnosis:
-        """Diagnose a log of one run, y (K, N) and u (K, m) of all sensors and inputs, NaN where missing."""
+    def read(self, source: Any, log_map: LogMap | str | Path | None = None) -> LoadedLog:
+        """Read a log, a file or a pandas frame, of the columns that were learnt; ValueError where one is not there."""
+        return load(source, self.channels.sensors, self.channels.inputs, _map(log_map))
+
+    def diagnose(self, log: Any, clock: Clock = SECONDS, *, log_map: LogMap | str | Path | None = None) -> Diagnosis:
+        """Diagnose a log of one run: a file, a pandas frame, what `read` gave, or a Log, y (K, N) and u (K, m) of all sensors
+        and inputs, NaN where missing. clock: of a Log. log_map: how a file is written.
+        """
+        if isinstance(log, LoadedLog):
+            log, clock = log.log, log.clock
+        elif not isinstance(log, Log):
+            log, clock, *_ = self.read(log, log_map)
         found = self.judge(log)
         rows = sum(len(v.t) for v in found)
         expected = f"without a fault some {self.learnt.limits.rate[0] * rows:.2g} of these {rows} rows would be in alarm"
@@ -122,9 +171,24 @@ class Monitor:
         """The verdicts on a log, of its pieces between gaps of more than 60 rows."""
         found = []
         for piece in pieces_of(self._fitting(log), self.dt):
-            tests = judged(self.learnt, rows_of(self.channels, piece))
-            found.append(verdicts_of(self.channels, piece, tests, causes(self.learnt, tests)))
+            parts, past = [], Past.none(self.channels, self.learnt)
+            for k in range(0, len(piece.t), AT_ONCE):
+                rows = slice(k, k + AT_ONCE)
+                verdicts, past = follow(self.channels, self.learnt, piece.t[rows], piece.v[rows], past)
+                parts.append(verdicts)
+            found.append(joined_verdicts(parts))
         return found
+
+    def stream(self, state: str | Path | None = None, **settings: Any) -> Watch:
+        """The monitor over rows as they come: `take(t, y, u)` decides as `diagnose` does on the rows so far.
+
+        state: a file that `Watch.save` wrote, from which it goes on. settings: further ones of `Watch`.
+        """
+        of_monitor = {"gap": JOINED, "kinds": False, "repeats": True, "unknown_inputs": True, "longest_gap": LONG * self.dt}
+        detector = LiveMonitor(self.channels, self.dt, self.learnt)
+        return (
+            Watch(detector, **of_monitor | settings) if state is None else Watch.load(state, detector, **of_monitor | settings)
+        )
 
     def _fitting(self, log: Log) -> Log:
         t, y, u = log
@@ -132,6 +196,11 @@ class Monitor:
             raise ValueError(
                 f"y {np.shape(y)}, u {np.shape(u)} do not fit {len(self.channels.sensors)} sensors and "
                 f"{len(self.channels.inputs)} inputs; give those of the healthy logs"
+            )
+        if np.size(t) >= FEWEST and np.quantile(np.diff(t), CLOSEST) > SKIPPED * self.dt:
+            raise ValueError(
+                f"the log has a row every {np.median(np.diff(t)):g} s, and the monitor has learnt rows {self.dt:g} s apart; "
+                "learn another one from healthy logs with these steps"
             )
         return Log(t, y, u)
 
@@ -210,6 +279,10 @@ class Monitor:
             raise ValueError(f"{path} cannot be read: {error}") from error
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{path} is no monitor ({error}); write one with `monitor --save`, or Monitor.save") from error
+
+
+def _map(given: LogMap | str | Path | None) -> LogMap:
+    return PLAIN_MAP if given is None else given if isinstance(given, LogMap) else load_map(given)
 
 
 def _remarks(found: Monitor, rows: int, per_row: float, moments: Sequence[tuple[float, int, Clock, str]]) -> list[str]:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.learning.channels import Channels, Piece, absences, repeats
+from fusion_sfdia.learning.channels import Channels, Read, read
 from fusion_sfdia.learning.windows import (
     Errors,
     Moments,
@@ -36,6 +36,7 @@ LEADING = 0.05  # of the mean eigenvalue: smaller directions of the readings are
 RARE = 0.998  # quantile of the leading scores in learning
 NOVEL = 1.5  # of that quantile: beyond it operation is outside what was learnt
 AT_ONCE = 2048  # rows: of more, the errors are computed in parts
+SPIKE = 3  # rows before a row, by which a spike is known
 LATE = 16  # rows: a level over at least as many needs half of its size from the last quarter of its window
 
 
@@ -105,11 +106,26 @@ class Rows(NamedTuple):
     spikes: Array
 
 
-def rows_of(channels: Channels, piece: Piece) -> Rows:
-    """The rows of a piece, scaled, with what needs no model."""
-    z, n = channels.scaled(piece.v), channels.count
-    own = piece.v[:, channels.used[:n]]
-    return Rows(z, repeats(own), absences(own), spikes(z[:, :n]))
+class Ahead(NamedTuple):
+    """What of the rows ahead of a piece belongs to its rows: what was read, and the last three scaled readings (3, N)."""
+
+    read: Read
+    z: Array
+
+    @classmethod
+    def none(cls, channels: Channels) -> Ahead:
+        """At the beginning."""
+        return cls(Read.none(channels.hold.size), np.full((SPIKE, channels.count), np.nan))
+
+
+def rows_of(channels: Channels, v: Array, ahead: Ahead | None = None) -> tuple[Rows, Ahead]:
+    """The rows of readings v (K, n) of all columns, scaled, with what needs no model; and what is ahead of the next ones."""
+    ahead, n = ahead or Ahead.none(channels), channels.count
+    own, every = channels.used[:n], read(v, ahead.read)
+    z = channels.scaled(every.held(channels.hold))
+    with_last = np.concatenate([ahead.z, z[:, :n]])
+    rows = Rows(z, every.equal[:, own], every.age[:, own], spikes(with_last)[SPIKE:])
+    return rows, Ahead(Read(*(a[-1] for a in every)), with_last[-SPIKE:])
 
 
 def spikes(z: Array) -> Array:

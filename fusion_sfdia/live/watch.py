@@ -83,7 +83,9 @@ class Watch:
     over which the detector predicts without readings, in steps of dt; default 10 000 dt. reorder: seconds for which rows are
     held, so that those that come in another order are put in order; every row is diagnosed that much later. keep_last: whether
     of held rows with one time the last counts, in place of the first. kinds: whether faults are named and the model is tested,
-    see `SecondLook`. refused: called with a line for each row or run of rows that is not taken; by default a WatchWarning.
+    see `SecondLook`. repeats: whether readings that repeat the one before are judged as they are. unknown_inputs: whether a
+    missing input stays so, for a detector that takes it. refused: called with a line for each row or run of rows that is not
+    taken; by default a WatchWarning.
 
     Rows that are not as expected never end a watch:
 
@@ -117,6 +119,8 @@ class Watch:
         reorder: float = 0.0,
         keep_last: bool = False,
         kinds: bool = True,
+        repeats: bool = False,
+        unknown_inputs: bool = False,
         refused: Callable[[str], None] = _warn,
     ) -> None:
         require_detector(detector)
@@ -130,7 +134,8 @@ class Watch:
         if not whole("gap", gap, least=1) < KEPT:
             raise ValueError(f"gap is {gap} samples; expected fewer than the {KEPT} that are kept")
         self.findings = Findings(detector, int(gap), kinds, refused)
-        self.slow = SlowSensors(detector.plant, refused)
+        self.slow = None if repeats else SlowSensors(detector.plant, refused)
+        self.unknown_inputs = unknown_inputs
         self.clock = Clock()
         self.state: State | None = None
         self.t: float | None = None  # of the last row diagnosed, in s; after `load`, rows after it are to be given again
@@ -149,7 +154,7 @@ class Watch:
             for sample in self.take(*row):
                 yield from sample.changes
 
-    def take(self, t: float | datetime, y: Any, u: Any) -> tuple[Sample, ...]:
+    def take(self, t: float | datetime, y: Any, u: Any = ()) -> tuple[Sample, ...]:
         """Diagnose the readings y (N,) at t, NaN where missing, with the inputs u (m,), see `at_sample`.
 
         t: in seconds, or all rows as time stamps, which become seconds since the first. Returns the rows diagnosed: this one,
@@ -205,7 +210,7 @@ class Watch:
             return ()
         u = self.given if self.at_sample and self.t is not None else given
         read = np.isfinite(row.y).any()
-        row = row._replace(y=self.slow.take(row.y))
+        row = row if self.slow is None else row._replace(y=self.slow.take(row.y))
         changes = self.findings.reset(row.t, f"no rows for {pause:g} s", self.clock) if too_long else []
         try:
             state, decision, steps = self._stepped(row, u, begins)
@@ -284,7 +289,7 @@ class Watch:
         plant, (low, high) = self.detector.plant, self.limits
         read = (row.u >= low) & (row.u <= high) & np.isfinite(row.u)
         known_at = np.where(read, row.t, self.known_at)
-        if read.all():
+        if read.all() or self.unknown_inputs:
             return row.u, known_at
         if self.nominal_inputs:
             before = row.t - plant.dt if self.t is None else max(row.t - plant.dt, self.t)
@@ -313,7 +318,12 @@ class Watch:
         own |= {"verdict": np.array(str(self.concluded.verdict)), "reason": np.array(self.concluded.reason)}
         own |= {"version": np.array(VERSION), "fingerprint": np.array(self.identity)}
         state = {} if self.state is None else state_arrays(self.state, self.identity)
-        parts = {"watch": own, "changes": self.findings.arrays(), "slow": self.slow.arrays(), "state": state}
+        parts = {
+            "watch": own,
+            "changes": self.findings.arrays(),
+            "slow": {} if self.slow is None else self.slow.arrays(),
+            "state": state,
+        }
         write_arrays(Path(path), {f"{part}/{name}": value for part, named in parts.items() for name, value in named.items()})
 
     @classmethod
@@ -354,7 +364,8 @@ class Watch:
         self.clock = Clock(datetime.fromisoformat(text) if (text := str(own.take("clock", "U"))) else None)
         self.t, self.u, self.given, self.known_at = float(own.take("t", "f")), *(own.take(n, "f", m) for n in OF_INPUTS)
         self.lost = bool(own.take("lost", "b"))
-        if not (np.isfinite(self.t) and np.isfinite(self.u).all() and np.isfinite(self.given).all()):
+        known = self.unknown_inputs or (np.isfinite(self.u).all() and np.isfinite(self.given).all())
+        if not (np.isfinite(self.t) and known):
             raise ValueError("'t', 'u' or 'given' is not finite")
         if np.isnan(self.known_at).any() or (self.known_at > self.t).any():
             raise ValueError("'known_at' is not a time before the last row")
@@ -362,6 +373,7 @@ class Watch:
         own.end()
         self.order.loaded = self.t
         self.findings.restore(changes)
-        if unknown := slow.keys() - self.slow.arrays().keys():
+        if unknown := slow.keys() - ({} if self.slow is None else self.slow.arrays()).keys():
             raise ValueError(f"{unknown} of slow sensors is not known")
-        self.slow.restore(slow)
+        if self.slow is not None:
+            self.slow.restore(slow)

@@ -34,8 +34,8 @@ FOLDERS: dict[str, set[str]] = {
     "structural_residuals": {"core"},
     "evaluation": {"core", "filters"},
     "identification": {"core", "filters"},
-    "monitoring": {"logs", "core", "evaluation", "identification", "kalman_banks", "data_driven"},
-    "learning": {"core", "evaluation"},
+    "monitoring": {"core", "evaluation", "identification", "kalman_banks", "data_driven"},
+    "learning": {"core", "evaluation", "logs", "live"},
     "fmu": {"core", "logs"},  # of the last its reader of units
     "registry": {"core", "detectors", "fmu", "models"},  # of the last three only names, until one is used
     "detectors": {"registry"},

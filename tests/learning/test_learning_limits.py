@@ -59,7 +59,7 @@ def test_the_rate_is_held_on_logs_that_were_not_learnt() -> None:
     """
     shares, inside = [], []
     for plant in range(40, 52):
-        monitor = Monitor.fit(signals(8), [log_of(factors(10 * plant))], false_alarm=STATED)
+        monitor = Monitor.of_logs(signals(8), [log_of(factors(10 * plant))], false_alarm=STATED)
         shares.append(float(np.mean(monitor.judge(log_of(factors(10 * plant + 1)))[0].causes.alarm)))
         inside.append(shares[-1] <= monitor.learnt.limits.rate[2])
     assert np.mean(shares) <= STATED and np.sum(np.array(shares) > 2 * STATED) <= 2 and max(shares) < 0.035
@@ -69,7 +69,7 @@ def test_the_rate_is_held_on_logs_that_were_not_learnt() -> None:
 def test_a_block_that_is_unlike_the_rest_is_reported_with_its_time() -> None:
     y = factors(7)
     y[750:930, 2] += 12.0
-    monitor = Monitor.fit(signals(8), [log_of(y)])
+    monitor = Monitor.of_logs(signals(8), [log_of(y)])
     lines = [line for line in monitor.remarks if line.startswith("s2 ")]
     assert lines and "was it healthy?" in lines[0] and "from 45000 s" in lines[0]
 
@@ -77,17 +77,17 @@ def test_a_block_that_is_unlike_the_rest_is_reported_with_its_time() -> None:
 def test_a_sensor_that_drifts_while_it_is_learnt_allows_no_promise() -> None:
     y = factors(8)
     y[:, 3] += 6.0 * np.linspace(0, 1, len(y))
-    monitor = Monitor.fit(signals(8), [log_of(y)])
+    monitor = Monitor.of_logs(signals(8), [log_of(y)])
     assert "no rate of false alarms can be stated: s3" in monitor.promise
     later = factors(9)
     later[:, 3] += 12.0  # it drifted on: too little was learnt of its level, which is no alarm
     found = monitor.judge(log_of(later))[0].causes
     assert np.mean(found.outside) > 0.9 and np.mean(found.alarm) <= 0.03 and not found.named[:, 3].mean() > 0.03
-    assert "no rate" not in Monitor.fit(signals(8), [log_of(factors(8))]).promise
+    assert "no rate" not in Monitor.of_logs(signals(8), [log_of(factors(8))]).promise
 
 
 def test_a_rate_that_the_rows_cannot_set_is_said() -> None:
-    monitor = Monitor.fit(signals(8), [log_of(factors(9))], false_alarm="1/week")
+    monitor = Monitor.of_logs(signals(8), [log_of(factors(9))], false_alarm="1/week")
     assert any("1500 healthy rows set limits for" in line and "record more" in line for line in monitor.remarks)
 
 
@@ -110,7 +110,7 @@ def test_runs_with_offsets_of_their_own_raise_no_alarm_and_steps_in_them_are_nam
         runs.append(x @ C.T + np.outer(x[:, 0] ** 2, bend) + noise)
     right, wrong, rates = [], [], []
     for k, run in enumerate(runs):
-        monitor = Monitor.fit(signals(10), [log_of(r) for j, r in enumerate(runs) if j != k])
+        monitor = Monitor.of_logs(signals(10), [log_of(r) for j, r in enumerate(runs) if j != k])
         healthy = monitor.judge(log_of(run))[0].causes
         rates.append(0.0 if np.mean(healthy.outside) > 0.5 else np.mean(healthy.alarm))
         off = run.copy()

@@ -14,7 +14,7 @@ from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.core.verdicts import Verdict
 from fusion_sfdia.learning.causes import OK, RECORDER
-from fusion_sfdia.learning.channels import held, pieces_of
+from fusion_sfdia.learning.channels import pieces_of, read
 from fusion_sfdia.learning.monitor import Monitor
 
 Array = NDArray[Any]
@@ -46,7 +46,7 @@ def made(seed: int, rows: int = ROWS, process: slice = slice(0), skipped: float 
 
 @pytest.fixture(scope="module")
 def monitor() -> Monitor:
-    return Monitor.fit(SENSORS, [made(1), made(2)], inputs=[LOAD])
+    return Monitor.of_logs(SENSORS, [made(1), made(2)], inputs=[LOAD])
 
 
 def events(monitor: Monitor, log: Log) -> dict[str, list[Any]]:
@@ -99,7 +99,7 @@ def test_of_two_sensors_that_only_explain_each_other_it_is_one_or_the_other() ->
         slow = y[:, 6] * 2.0
         return Log(t, np.column_stack([y, slow + 0.2 * rng.standard_normal(ROWS)]), u)
 
-    monitor = Monitor.fit((*SENSORS, Signal("twin", "K")), [twins(1), twins(2)], inputs=[LOAD])
+    monitor = Monitor.of_logs((*SENSORS, Signal("twin", "K")), [twins(1), twins(2)], inputs=[LOAD])
     t, y, u = twins(3)
     y[500:800, 8] += 6.0
     causes = monitor.judge(Log(t, y, u))[0].causes
@@ -142,7 +142,7 @@ def test_an_operation_that_was_not_learnt_is_outside_and_no_sensor_is_named(moni
 
 
 def test_skipped_rows_are_rows_without_readings_when_learning_and_when_judging() -> None:
-    gappy = Monitor.fit(SENSORS, [made(1, skipped=0.3), made(2, skipped=0.3)], inputs=[LOAD])
+    gappy = Monitor.of_logs(SENSORS, [made(1, skipped=0.3), made(2, skipped=0.3)], inputs=[LOAD])
     shares = [np.mean(gappy.judge(made(seed, skipped=0.3))[0].causes.alarm) for seed in range(30, 36)]
     assert np.mean(shares) <= 0.01 and max(shares) <= 0.02
     t, y, u = made(37, skipped=0.3)
@@ -156,7 +156,7 @@ def test_a_channel_that_cannot_be_learnt_is_left_out_and_the_others_stay(monitor
         lost = np.random.default_rng(seed).random(len(y)) < 0.6
         return Log(t, np.where(lost[:, None] & (np.arange(8) == 5), np.nan, y), u)
 
-    found = Monitor.fit(SENSORS, [gappy(1), gappy(2)], inputs=[LOAD])
+    found = Monitor.of_logs(SENSORS, [gappy(1), gappy(2)], inputs=[LOAD])
     assert "s5" not in found.channels.names and "misses " in found.channels.left_out["s5"]
     t, y, u = gappy(21)
     y[500:800, 2] += STEP
@@ -179,7 +179,7 @@ def test_tags_that_are_written_each_at_its_own_time_are_gathered_on_a_grid_that_
         return Log(at[order], v[order, :8], v[order, 8:])
 
     log = scattered(1)
-    found = Monitor.fit(SENSORS, [log, scattered(2)], inputs=[LOAD])
+    found = Monitor.of_logs(SENSORS, [log, scattered(2)], inputs=[LOAD])
     assert 1.5 * DT < found.dt < 4 * DT and {"alone", "still"} == set(found.channels.left_out)
     (bias,) = [e for e in found.diagnose(scattered(3, STEP)).events if e.kind == "sensor" and e.end - e.start > 300]
     assert bias.hypothesis == "s2" and abs(bias.start - 10_000) <= 4 * found.dt and bias.size == pytest.approx(STEP, abs=0.3)
@@ -191,11 +191,11 @@ def test_a_column_that_is_written_on_change_keeps_its_last_reading_as_long_as_it
         t, y, u = made(seed)
         return Log(t, y, np.where((np.arange(len(u)) % 5 == 0)[:, None], u, np.nan))
 
-    found = Monitor.fit(SENSORS, [seldom(1), seldom(2)], inputs=[LOAD])
+    found = Monitor.of_logs(SENSORS, [seldom(1), seldom(2)], inputs=[LOAD])
     assert found.channels.hold.tolist() == [0.0] * 8 + [5.0] and "load (50 s)" in str(found)
     assert "load" in found.channels.names
     v = np.array([[1.0], [np.nan], [np.nan], [np.nan], [2.0]])
-    assert held(v, np.array([2.0]))[:, 0].tolist()[:3] == [1.0, 1.0, 1.0] and np.isnan(held(v, np.array([2.0]))[3, 0])
+    assert read(v).held(np.array([2.0]))[:, 0].tolist()[:3] == [1.0, 1.0, 1.0] and np.isnan(read(v).held(np.array([2.0]))[3, 0])
 
 
 def test_several_rows_at_one_step_count_by_their_mean_and_equal_ones_to_the_bit() -> None:
@@ -236,7 +236,7 @@ def test_a_saved_monitor_decides_as_before(monitor: Monitor, tmp_path: Path) -> 
 
 
 def test_runs_of_their_own_are_saved_too(tmp_path: Path) -> None:
-    monitor = Monitor.fit(SENSORS, [made(seed, 500) for seed in range(5)], inputs=[LOAD])
+    monitor = Monitor.of_logs(SENSORS, [made(seed, 500) for seed in range(5)], inputs=[LOAD])
     assert monitor.learnt.absolute is not None
     monitor.save(tmp_path / "plant.sfdia")
     log = made(40, 500)
@@ -274,7 +274,7 @@ def test_what_is_no_monitor_is_refused(monitor: Monitor, tmp_path: Path, damage:
 def test_what_cannot_be_learnt_is_refused(changes: dict[str, Any], message: str) -> None:
     given: dict[str, Any] = {"sensors": SENSORS, "healthy": [made(1)], "inputs": [LOAD]}
     with pytest.raises(ValueError, match=message):
-        Monitor.fit(**{**given, **changes})
+        Monitor.of_logs(**{**given, **changes})
 
 
 def test_a_log_of_other_columns_is_refused(monitor: Monitor) -> None:

@@ -45,7 +45,7 @@ def log_of(v: Array) -> Log:
 @pytest.fixture(scope="module")
 def monitor(folder: Path) -> Monitor:
     sensors, inputs = [Signal(f"x{i + 1}") for i in range(41)], [Signal(f"u{i + 1}") for i in range(11)]
-    return Monitor.fit(sensors, [log_of(recorded(folder, "d00"))], inputs=inputs, false_alarm=0.01)
+    return Monitor.of_logs(sensors, [log_of(recorded(folder, "d00"))], inputs=inputs, false_alarm=0.01)
 
 
 def test_another_healthy_recording_is_not_accused(monitor: Monitor, folder: Path) -> None:

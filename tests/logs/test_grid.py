@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from toy_plants import tanks
 
+from fusion_sfdia.learning.unmodelled_logs import load as load_monitored
+from fusion_sfdia.learning.unmodelled_logs import signals_of
 from fusion_sfdia.live.rows import TextRows
 from fusion_sfdia.logs.findings import LoadedLog
 from fusion_sfdia.logs.log_map import Column, LogMap
 from fusion_sfdia.logs.reading import load_log
-from fusion_sfdia.monitoring.logs import load as load_monitored
-from fusion_sfdia.monitoring.logs import signals_of
 
 PLANT = tanks()  # dt 5 s
 NAMES = ["l1", "l2", "q12", "q2", "inflow"]

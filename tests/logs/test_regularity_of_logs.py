@@ -11,10 +11,10 @@ from turning_car import car, turning, within_a_turn
 from fusion_sfdia import diagnose, registry, simulate
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.learning.unmodelled_logs import load, signals_of
 from fusion_sfdia.logs.check import check_log, without_suspects
 from fusion_sfdia.logs.csv_log import write_log
 from fusion_sfdia.logs.regularity import regularities
-from fusion_sfdia.monitoring.logs import load, signals_of
 from fusion_sfdia.report.log_report import diagnose_log
 
 Array = NDArray[np.float64]

@@ -11,8 +11,8 @@ from made_up_logs import LOAD, SENSORS, of_factor
 
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.signals import Signal
+from fusion_sfdia.learning.unmodelled_logs import load, signals_of
 from fusion_sfdia.logs.log_map import Column, LogMap
-from fusion_sfdia.monitoring.logs import load, signals_of
 
 MORE = (*SENSORS, Signal("alone", "1"), Signal("still", "bar"))
 
