@@ -47,9 +47,11 @@ test: $(DEV)
 test-long: $(DEV)
 	$(BIN)/python -m pytest -n $(WORKERS) -m long
 
-# the quick numerical tests with the linear algebra of other processors
+# the quick numerical tests with the linear algebra of other processors; KERNELS=--oldest: of the oldest alone
+KERNELS ?=
+
 test-kernels: $(DEV)
-	$(BIN)/python tests/helpers/kernels.py -n $(WORKERS)
+	$(BIN)/python tests/helpers/kernels.py $(KERNELS) -n $(WORKERS)
 
 # the lowest versions of all requirements that pyproject.toml allows, in an environment of their own; versions of that time may
 # call what their own requirements have deprecated since

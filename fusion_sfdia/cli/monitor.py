@@ -11,6 +11,7 @@ from textwrap import indent
 from typing import Any
 
 from fusion_sfdia.cli.options import add_names, printed_warnings
+from fusion_sfdia.core.numerals import integer
 
 OWN_FILE = "monitor.txt"
 
@@ -20,12 +21,33 @@ def add_monitor(commands: Any) -> None:
     one = commands.add_parser("monitor", help="diagnose a log by healthy ones, without a model", allow_abbrev=False)
     one.add_argument("--healthy", type=Path, action="append", metavar="LOG.csv", help="a log without a fault; repeatable")
     one.add_argument("--monitor", type=Path, metavar="FILE", help="what --save has written, in place of --healthy")
+    one.add_argument(
+        "--update",
+        type=Path,
+        action="append",
+        metavar="LOG.csv",
+        help="with --monitor, a later log without a fault, which is learnt as well; repeatable",
+    )
     one.add_argument("--save", type=Path, metavar="FILE", help="keep what was learnt, such as in plant.sfdia")
     one.add_argument("--data", type=Path, metavar="LOG.csv", help="the log to diagnose, of the same columns")
     add_names(one, "--inputs", "columns that act on the plant, such as a load or valves", [])
     add_names(one, "--ignore", "columns that are left out", [])
     one.add_argument("--map", type=Path, metavar="MAP.toml", help="how the logs are written, and which columns are used")
     one.add_argument("--false-alarm", metavar="RATE", help="rows in alarm: 1/day, 2/hour or a share (default: 0.01)")
+    one.add_argument(
+        "--units",
+        metavar="LOGS",
+        help="a folder or a pattern such as 'logs/*.csv', a log a unit of one kind: each is learnt and "
+        "diagnosed, and they are compared",
+    )
+    one.add_argument("--learn", metavar="FROM..TO", help="with --units, the healthy part of each log (default: its first half)")
+    one.add_argument("--workers", type=integer, metavar="N", help="with --units, processes (default: one a core)")
+    one.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="with --units, work on a running dask cluster that sees the same files, such as tcp://host:8786; on a trusted "
+        "network only, else tls://",
+    )
     one.add_argument("--out", type=Path, metavar="DIR", help="folder of the results (default: monitor/ and the log's name)")
     one.add_argument("--force", action="store_true", help="write into a folder that is in use")
     one.add_argument("--json", action="store_true", help="print the events as JSON")
@@ -33,10 +55,22 @@ def add_monitor(commands: Any) -> None:
 
 
 def _monitor(chosen: argparse.Namespace) -> int:
+    if chosen.units:
+        from fusion_sfdia.cli.units import diagnose_units
+
+        return diagnose_units(chosen)
+    if given := [f"--{name}" for name in ("learn", "workers", "scheduler") if getattr(chosen, name)]:
+        raise ValueError(
+            f"{', '.join(given)} without --units: the logs of units are learnt in parts and side by side; leave it out"
+        )
     if bool(chosen.healthy) == bool(chosen.monitor):
         raise ValueError("state healthy logs with --healthy, or what was learnt from them before with --monitor")
-    if chosen.monitor and (chosen.inputs or chosen.ignore or chosen.false_alarm or chosen.save):
+    if chosen.monitor and (chosen.inputs or chosen.ignore or chosen.false_alarm or (chosen.save and not chosen.update)):
         raise ValueError("--inputs, --ignore, --false-alarm and --save are for learning; leave them out beside --monitor")
+    if chosen.update and not (chosen.monitor and chosen.save):
+        raise ValueError(
+            "--update takes later logs into what --monitor has; state both, and where to keep the new one with --save"
+        )
     if not (chosen.data or chosen.save):
         raise ValueError("state the log to diagnose with --data, or where to keep what is learnt with --save")
     say = partial(print, file=sys.stderr if chosen.json else sys.stdout, flush=True)
@@ -50,9 +84,9 @@ def _learnt(chosen: argparse.Namespace, say: Any) -> Any:
     """The monitor: read, or learnt and, where that is asked for, saved."""
     from fusion_sfdia.learning.monitor import FALSE_ALARM, Monitor
 
-    if chosen.monitor:
+    if chosen.monitor and not chosen.update:
         return Monitor.load(chosen.monitor)
-    monitor = Monitor.fit(
+    monitor = Monitor.load(chosen.monitor).update(chosen.update, log_map=chosen.map) if chosen.update else Monitor.fit(
         chosen.healthy, inputs=chosen.inputs, ignore=chosen.ignore, log_map=chosen.map,
         false_alarm=chosen.false_alarm or FALSE_ALARM, say=lambda path, log: say(f"{path}:\n{indent(str(log), '  ')}"),
     )  # fmt: skip

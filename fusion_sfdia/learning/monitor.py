@@ -20,7 +20,8 @@ from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.core.storage import read_arrays, write_arrays
 from fusion_sfdia.evaluation.diagnose import Diagnosis
 from fusion_sfdia.evaluation.events import with_unit
-from fusion_sfdia.learning.channels import Channels, learn_channels, pieces_of, usual_step
+from fusion_sfdia.learning.causes import OK
+from fusion_sfdia.learning.channels import Channels, Piece, learn_channels, pieces_of, usual_step
 from fusion_sfdia.learning.diagnosis import JOINED, SECONDS, Verdicts, diagnosed, joined_verdicts, plant_of
 from fusion_sfdia.learning.held_out import WITNESS, Learnt, learn
 from fusion_sfdia.learning.live import LiveMonitor, Past, follow
@@ -38,8 +39,9 @@ SUPPORTED = 4.0  # rows in alarm that the healthy rows would hold at the lowest 
 FOUND = 1.3  # standard deviations above its limit: a lasting bias of so much is found with a probability of 0.9
 LEAST = 64  # healthy rows
 AT_ONCE = 8192  # rows: of more, a log is judged in parts
+CHANGED = 1.25  # factor of a limit that is worth a line
 FEWEST, CLOSEST = 20, 0.1  # rows of a log from which on its step is judged, by this quantile of their distances
-VERSION = 1
+VERSION = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +49,8 @@ class Monitor:
     """What was learnt from healthy logs of one plant; `Monitor.fit` makes it.
 
     channels: which columns are used, and how. dt: step of the grid (s). rate: the stated share of rows in alarm, and per_row
-    what the limits are for. healthy: rows of each log, and where it begins and ends, in words.
+    what the limits are for. healthy: rows of each log, and where it begins and ends, in words. logs: they, in rows of
+    the grid.
     """
 
     channels: Channels
@@ -56,6 +59,7 @@ class Monitor:
     per_row: float
     learnt: Learnt
     healthy: tuple[tuple[str, int, str, str], ...]
+    logs: tuple[Log, ...]
     remarks: tuple[str, ...] = field(default=())
 
     @classmethod
@@ -85,7 +89,7 @@ class Monitor:
         for source in sources:
             loaded.append(load(source, sensors, signals, written))
             say(source, loaded[-1])
-        names = [Path(s).name if isinstance(s, str | Path) else f"healthy log {k}" for k, s in enumerate(sources, start=1)]
+        names = list(map(_name, sources, range(1, len(sources) + 1)))
         return cls.of_logs(
             sensors, [one.log for one in loaded], inputs=signals, false_alarm=false_alarm, names=names,
             clocks=[one.clock for one in loaded],
@@ -99,12 +103,14 @@ class Monitor:
         *,
         inputs: Sequence[Signal] = (),
         false_alarm: float | str | Rate = FALSE_ALARM,
+        dt: float | None = None,
         names: Sequence[str] = (),
         clocks: Sequence[Clock] = (),
     ) -> Monitor:
         """Learn from healthy logs, each of one run: t (K,), y (K, N) and u (K, m), NaN where missing.
 
-        false_alarm: share of rows in alarm, or such as "1/day". names, clocks: of the logs, in words.
+        false_alarm: share of rows in alarm, or such as "1/day". dt: step of the grid (s), None for that of the logs. names,
+        clocks: of the logs, in words.
         ValueError for logs that do not fit, that are too short, or of which no channel can be learnt.
         """
         if not healthy:
@@ -115,7 +121,7 @@ class Monitor:
                     f"healthy log {k} has y of shape {np.shape(log.y)} and u of shape {np.shape(log.u)}; expected "
                     f"{len(sensors)} sensors and {len(inputs)} inputs, a row a time"
                 )
-        dt = usual_step(healthy)
+        dt = dt or usual_step(healthy)
         stated = Rate.of(false_alarm)
         logs = [pieces_of(log, dt) for log in healthy]
         rows = sum(len(p.t) for log in logs for p in log)
@@ -136,7 +142,8 @@ class Monitor:
         moments = [
             (float(p.t[0]), len(p.t), clock, name) for name, log, clock in zip(named, logs, clocks, strict=True) for p in log
         ]
-        found = cls(channels, dt, stated, max(per_row, least), learnt, origin)
+        gridded = tuple(_as_log(log, len(sensors)) for log in logs)
+        found = cls(channels, dt, stated, max(per_row, least), learnt, origin, gridded)
         return replace(found, remarks=tuple(_remarks(found, rows, per_row, moments)))
 
     @property
@@ -146,9 +153,24 @@ class Monitor:
 
     def on_grid(self, log: Log) -> Log:
         """A log of one run with its rows as they are judged, y (K, N) and u (K, m), NaN where there is no reading."""
-        pieces, count = pieces_of(self._fitting(log), self.dt), len(self.channels.sensors)
-        values = np.concatenate([p.v for p in pieces])
-        return Log(np.concatenate([p.t for p in pieces]), values[:, :count], values[:, count:])
+        return _as_log(pieces_of(self._fitting(log), self.dt), len(self.channels.sensors))
+
+    def update(self, healthy: Any, *, log_map: LogMap | str | Path | None = None) -> Monitor:
+        """A monitor that has learnt from later healthy logs as well, with what has changed among its remarks.
+
+        healthy: as for `fit`, of the same columns. ValueError for other columns, and for rows that are further apart.
+        """
+        sources = list(healthy) if isinstance(healthy, list | tuple) else [healthy]
+        read = [source if isinstance(source, LoadedLog) else self.read(source, log_map) for source in sources]
+        later = [self.on_grid(one.log) for one in read]
+        names = [*(name for name, *_ in self.healthy), *map(_name, sources, range(len(self.logs) + 1, 10**6))]
+        sensors, inputs = self.channels.sensors, self.channels.inputs
+        found = Monitor.of_logs(sensors, [*self.logs, *later], inputs=inputs, false_alarm=self.rate, dt=self.dt, names=names)
+        origin = tuple(
+            (name, len(log.t), one.clock.at(float(log.t[0])), one.clock.at(float(log.t[-1])))
+            for name, log, one in zip(names[len(self.logs) :], later, read, strict=True)
+        )
+        return replace(found, healthy=(*self.healthy, *origin), remarks=(*_changes(self, found, later, names), *found.remarks))
 
     def read(self, source: Any, log_map: LogMap | str | Path | None = None) -> LoadedLog:
         """Read a log, a file or a pandas frame, of the columns that were learnt; ValueError where one is not there."""
@@ -261,7 +283,8 @@ class Monitor:
         arrays, learnt = packed(self.channels, self.learnt)
         about = {"version": VERSION, "dt": self.dt, "rate": str(self.rate), "per_row": self.per_row}
         text = json.dumps({**about, "healthy": self.healthy, "remarks": self.remarks, **learnt})
-        write_arrays(Path(path), {"monitor": np.array(text), **arrays}, compress=True)
+        rows = {f"log {k} {what}": values for k, log in enumerate(self.logs) for what, values in log._asdict().items()}
+        write_arrays(Path(path), {"monitor": np.array(text), **arrays, **rows}, compress=True)
 
     @classmethod
     def load(cls, path: str | Path) -> Monitor:
@@ -274,11 +297,42 @@ class Monitor:
             channels, learnt = unpacked(arrays, about)
             healthy = tuple((str(n), int(k), str(a), str(b)) for n, k, a, b in about["healthy"])
             rate, remarks = Rate.of(about["rate"]), tuple(map(str, about["remarks"]))
-            return cls(channels, float(about["dt"]), rate, float(about["per_row"]), learnt, healthy, remarks)
+            logs = tuple(Log(*(arrays[f"log {k} {what}"] for what in Log._fields)) for k in range(len(healthy)))
+            return cls(channels, float(about["dt"]), rate, float(about["per_row"]), learnt, healthy, logs, remarks)
         except OSError as error:
             raise ValueError(f"{path} cannot be read: {error}") from error
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{path} is no monitor ({error}); write one with `monitor --save`, or Monitor.save") from error
+
+
+def _name(source: Any, k: int) -> str:
+    return Path(source).name if isinstance(source, str | Path) else f"healthy log {k}"
+
+
+def _as_log(pieces: Sequence[Piece], sensors: int) -> Log:
+    values = np.concatenate([p.v for p in pieces])
+    return Log(np.concatenate([p.t for p in pieces]), values[:, :sensors], values[:, sensors:])
+
+
+def _changes(before: Monitor, now: Monitor, later: Sequence[Log], names: Sequence[str]) -> list[str]:
+    """What later healthy logs have changed, in words."""
+    lines = []
+    for name, log in zip(names[len(before.logs) :], later, strict=True):
+        share = float(np.mean(np.concatenate([v.causes.kind for v in before.judge(log)]) != OK))
+        odd = share > 2 * before.learnt.limits.rate[2]
+        lines.append(
+            f"{name}: {share:.2g} of its rows were in alarm, or outside, before" + (": was it healthy?" if odd else "")
+        )
+    was, is_now = before.smallest(), now.smallest()
+    for sensor in now.channels.sensors:
+        a, b = (min(found.get(sensor.name, {}).values(), default=np.inf) for found in (was, is_now))
+        if np.isfinite(b) and abs(np.log(b / a)) > np.log(CHANGED):
+            lines.append(f"{sensor.name}: a lasting bias is found from {with_unit(f'{b:.3g}', sensor.unit)} on, before {a:.3g}")
+    for name, why in now.channels.left_out.items():
+        if name not in before.channels.left_out:
+            lines.append(f"{name} is no longer used: {why}")
+    lines += [f"{name} is used now" for name in before.channels.left_out if name not in now.channels.left_out]
+    return lines
 
 
 def _map(given: LogMap | str | Path | None) -> LogMap:

@@ -124,7 +124,7 @@ def write_diagnosis(
     shown_in: the names and units of the report and the figure; tables are in those of the plant.
     """
     header, rows = found.table()
-    _write_table(out / "events.csv", header, rows)
+    write_table(out / "events.csv", header, rows)
     taken, made = present(y, found.decisions), found.decisions.reconstruction
     write_log(out / "reconstructed.csv", plant, found.t, made, u, replaced=np.isfinite(made) & (made != taken))
     _write_scores(out / "scores.csv", plant, found)
@@ -151,7 +151,8 @@ def _write_scores(path: Path, plant: Plant, found: Diagnosis) -> None:
     write_lines(path, header, found.t.size, lines)
 
 
-def _write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+def write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Write a table as CSV, whole or not at all; texts as they are shown, numbers in full."""
     with atomic_write(path) as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(map(_cell, header))

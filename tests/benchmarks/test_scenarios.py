@@ -34,7 +34,7 @@ VARIANTS = {
 TIMED = ("network/scale",)  # measures time, which no second run repeats
 LONG = (  # ten seconds or more each
     "chemical/monitored", "chemical/recorded", "engine/three-faults", "engine/virtual-sensors", "pipeline/accommodation",
-    "pipeline/accuracy",
+    "pipeline/accuracy", "pipeline/isolation",
 )  # fmt: skip
 
 pytestmark = pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Run the numerical tests with the kernels of other processors: `python tests/helpers/kernels.py [arguments of pytest]`.
+"""Run the numerical tests with other processors' kernels: `python tests/helpers/kernels.py [--oldest] [arguments of pytest]`.
 
 OpenBLAS and NumPy choose their code by processor, and sums taken in another order round otherwise. Each kernel of `KERNELS`
 gives a run of the quick tests, all but the folders and files of `NOT_NUMERICAL` and the contract on large plants: a new file
@@ -35,6 +35,7 @@ NOT_NUMERICAL = (
     "test_valve_log.py",
 )  # fmt: skip
 # The contract on the two largest plants takes as long as all else; their numbers are in the tests of the plants themselves.
+OLDEST = "--oldest"
 SMALL = ("-k", "not (test_contract and (gas-pipeline or power-network))")
 
 
@@ -63,14 +64,16 @@ def settings() -> dict[str, dict[str, str]]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run pytest once for each setting; 1 if one of them failed."""
+    """Run pytest once for each setting, with `--oldest` for that alone, which differs most; 1 if one of them failed."""
+    own = [a for a in arguments if a != OLDEST]
+    chosen = list(settings().items())[-1 if OLDEST in arguments else 0 :]
     folder = Path(__file__).resolve().parent.parent
     files = sorted(p for p in folder.rglob("test_*.py") if not {*p.relative_to(folder).parts} & {*NOT_NUMERICAL})
     failed = []
-    for name, variables in settings().items():
+    for name, variables in chosen:
         print(f"\n-- {name}: {' '.join(f'{k}={v!r}' for k, v in variables.items())}", flush=True)
         start = time.monotonic()
-        command = [sys.executable, "-m", "pytest", "-q", *SMALL, *arguments, *map(str, files)]
+        command = [sys.executable, "-m", "pytest", "-q", *SMALL, *own, *map(str, files)]
         if subprocess.run(command, env=os.environ | variables, cwd=folder.parent, check=False).returncode:
             failed.append(name)
         print(f"-- {name}: {time.monotonic() - start:.0f} s", flush=True)

@@ -53,7 +53,7 @@ def test_another_healthy_recording_is_not_accused(monitor: Monitor, folder: Path
     assert np.mean(found.alarm) <= 0.02 and np.mean(found.outside) <= 0.05
 
 
-@pytest.mark.parametrize("name", ["d01_te", "d04_te", "d05_te", "d11_te"])
+@pytest.mark.parametrize("name", [pytest.param("d01_te", marks=pytest.mark.long), "d04_te", "d05_te", "d11_te"])
 def test_a_fault_of_the_process_is_found_and_names_no_sensor(monitor: Monitor, folder: Path, name: str) -> None:
     """d05 is no fresh judge: the share that a rival may leave (`causes.SMALL`) was chosen on it, with .1 it has .086 here."""
     found = monitor.judge(log_of(recorded(folder, name)))[0].causes

@@ -38,7 +38,7 @@ MUTANTS = (
         "return ahead - K @ by_cause, by_cause, ahead",
         "return ahead, by_cause, ahead",
         "tests/frozen_model/test_frozen_filter.py::test_the_derivatives_are_those_of_differences",
-        quick=True,
+        quick=False,
     ),
     Mutant(
         "fusion_sfdia/frozen_model/commissioned_model.py",
@@ -738,7 +738,7 @@ MUTANTS = (
         'probability("false_alarm", false_alarm) / components',
         'probability("false_alarm", false_alarm)',
         "tests/stochastic_thresholds/test_threshold_rules.py::test_rules_against_numbers_checked_by_hand",
-        quick=True,
+        quick=False,
     ),
     Mutant(
         "fusion_sfdia/stochastic_thresholds/threshold_rules.py",
@@ -811,7 +811,7 @@ MUTANTS = (
         "APART = 15",
         "APART = 1",
         "tests/tuning/test_tail.py::test_exceedances_are_counted_with_their_interval",
-        quick=True,
+        quick=False,
     ),
     Mutant(
         "fusion_sfdia/tuning/tail.py",

@@ -10,7 +10,7 @@ import pytest
 from mutants import MUTANTS, Mutant, mutated
 from run_mutants import ROOT, survivors
 
-SHORT = 6  # mutants that take less than half a minute together
+SHORT = 3  # mutants that take about half a minute together
 
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda m: f"{m.file}:{m.old}")

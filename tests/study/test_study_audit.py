@@ -58,7 +58,7 @@ def test_every_row_that_is_judged_has_one_kind() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["robust-glr", "loo-glr", "limits"])
+@pytest.mark.parametrize("name", [pytest.param("robust-glr", marks=pytest.mark.long), "loo-glr", "limits"])
 def test_trials_that_are_run_together_have_the_outcomes_that_each_has_alone(name: str) -> None:
     detector = registry.detector(name, two_tanks())
     for case in ("ar-0.95", "two-biases", "process-step"):
