@@ -121,6 +121,10 @@ from fusion_sfdia.named import fit as fit
 from fusion_sfdia.registry import register_detector as register_detector
 from fusion_sfdia.registry import register_plant as register_plant
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev as Chebyshev
+from fusion_sfdia.stochastic_thresholds.fault_hypotheses import FaultHypotheses as FaultHypotheses
+from fusion_sfdia.stochastic_thresholds.guarantees import detectable as detectable
+from fusion_sfdia.stochastic_thresholds.guarantees import excludable as excludable
+from fusion_sfdia.stochastic_thresholds.guarantees import exclusion_error as exclusion_error
 from fusion_sfdia.stochastic_thresholds.replug import replug as replug
 from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals as StructuralResiduals
 from fusion_sfdia.study.audit import Audit as Audit

@@ -6,8 +6,8 @@ mean and standard deviation of one of them over the B - 1 other units, that of a
 
     (x - m) / (s sqrt(1 + 1 / (B - 1)))  t-distributed with B - 2 degrees of freedom
 
-(Thompson 1935). The unit furthest from the others is left out, the rest compared again, up to a quarter of them: those differ up
-to the last one that is further than chance gives, so that two do not hide each other (Rosner 1983).
+(Thompson 1935). The unit furthest from the others is left out, the rest compared again, up to a quarter of them: those differ
+up to the last one that is further than chance gives, so that two do not hide each other (Rosner 1983).
 """
 
 from __future__ import annotations
