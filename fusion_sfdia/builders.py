@@ -64,7 +64,9 @@ def printed_bank(plant: Plant, kind: str, healthy: Any = None, false_alarm: floa
     return fusing_bank(as_printed(plant), kind, healthy, false_alarm)
 
 
-def fusing_bank(plant: Plant, kind: str, healthy: Any = None, false_alarm: float = FALSE_ALARM) -> FusingBank:
+def fusing_bank(
+    plant: Plant, kind: str, healthy: Any = None, false_alarm: float = FALSE_ALARM, feedback: str = "federated"
+) -> FusingBank:
     """The paper's bank in the paper's units, its thresholds fitted to healthy readings.
 
     None for simulated runs of the filters' own model; they are longer for more quantities.
@@ -76,7 +78,8 @@ def fusing_bank(plant: Plant, kind: str, healthy: Any = None, false_alarm: float
         expected = len(plant.quantities) / false_alarm / len(CALIBRATION_SEEDS)
         steps = max(CALIBRATION_STEPS, WARM_UP + int(np.ceil(1.5 * expected)))
         healthy = simulate(plant, steps, CALIBRATION_SEEDS, truth="model", process_noise=plant.truth.disturbed)
-    return FusingBank(plant, PAPER_FILTERS[kind], residual_scale=scale).fit_thresholds(healthy, false_alarm, WARM_UP)
+    bank = FusingBank(plant, PAPER_FILTERS[kind], residual_scale=scale, feedback=feedback)
+    return bank.fit_thresholds(healthy, false_alarm, WARM_UP)
 
 
 def healthy_data(plant: Plant, false_alarm: float = FALSE_ALARM, checks: int = 2) -> Recording:

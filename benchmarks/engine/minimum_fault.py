@@ -172,4 +172,5 @@ SCENARIO = Scenario(
     tasks=minimum_tasks,
     work=minimum_work,
     summarise=minimum_summary,
+    papers=("kougiatsos2024",),
 )

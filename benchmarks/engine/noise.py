@@ -168,4 +168,5 @@ SCENARIO = Scenario(
     work=noise_work,
     summarise=noise_summary,
     full={"levels": tuple(k / 100 for k in range(1, 11)), "duration": 100.0},
+    papers=("kougiatsos2024",),
 )

@@ -169,4 +169,5 @@ SCENARIO = Scenario(
     tasks=signature_tasks,
     work=signature_work,
     summarise=signature_summary,
+    papers=("kougiatsos2024",),
 )

@@ -108,4 +108,5 @@ SCENARIO = Scenario(
     tasks=three_tasks,
     work=trial,
     summarise=three_summary,
+    papers=("kougiatsos2024",),
 )

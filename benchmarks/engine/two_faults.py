@@ -55,4 +55,5 @@ SCENARIO = Scenario(
     tasks=two_tasks,
     work=trial,
     summarise=two_summary,
+    papers=("kougiatsos2022",),
 )

@@ -178,4 +178,5 @@ SCENARIO = Scenario(
     summarise=sensor_summary,
     full={"inversion_seeds": 10},
     bounds={"inversion_seeds": (0, 1000)},
+    papers=("virtual2022",),
 )

@@ -247,4 +247,5 @@ SCENARIO = Scenario(
     work=consensus_work,
     summarise=consensus_summary,
     bounds={"steps": (SETTLE + 1, 1e6)},
+    papers=("boem2018",),
 )

@@ -243,4 +243,5 @@ SCENARIO = Scenario(
     summarise=false_alarm_summary,
     full={"shock_steps": 100000},
     bounds={"steps": (SETTLE + 1, 1e6)},
+    papers=("boem2018",),
 )

@@ -181,4 +181,5 @@ SCENARIO = Scenario(
     tasks=governor_tasks,
     work=governor_work,
     summarise=governor_summary,
+    papers=("boem2018",),
 )

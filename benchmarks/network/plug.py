@@ -205,4 +205,5 @@ SCENARIO = Scenario(
     tasks=plug_tasks,
     work=plug_work,
     summarise=plug_summary,
+    papers=("boem2018",),
 )

@@ -233,4 +233,5 @@ SCENARIO = Scenario(
     full={"areas": (15, 1500, 150000, 1500000)},
     bounds=dict.fromkeys(("areas", "parts", "robust"), (int(AWAY) + 1, 1e7)),
     optional=("parts", "robust"),
+    papers=("boem2018",),
 )

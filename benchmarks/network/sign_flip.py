@@ -214,4 +214,5 @@ SCENARIO = Scenario(
     work=flip_work,
     summarise=flip_summary,
     bounds={"duration": (SIGN_FLIP.fault.onset + 1, 1e6)},
+    papers=("boem2018",),
 )  # fmt: skip

@@ -6,7 +6,13 @@ from functools import partial
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline.support.interpretations import condition, interpretations, interpretations_table, nearer
+from fusion_sfdia.benchmarks.pipeline.support.interpretations import (
+    Interpretation,
+    condition,
+    interpretations,
+    interpretations_table,
+    near,
+)
 from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
 from fusion_sfdia.benchmarks.pipeline.support.trials import PAPER, STRENGTHS, Results, common, tasks, trial
 from fusion_sfdia.evaluation import detection_metrics as metrics
@@ -26,19 +32,19 @@ DETECTORS = (*PAPER, "loo-glr")
 def accuracy_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Tables V to VII by fault and quantity: the paper's detectors at every noise level.
 
-    At the moderate level also ours, and the paper's with the other interpretation of their process noise.
+    At the moderate level also ours.
     """
     levels = settings["levels"]
     assert isinstance(levels, tuple)
-    printed, other = interpretations(settings)
-    rounds = [(s, printed, DETECTORS if s == "moderate" else PAPER) for s in levels]
-    rounds += [("moderate", other, PAPER)] if "moderate" in levels else []
+    first, *others = interpretations(settings)
+    rounds = [(s, first, DETECTORS if s == "moderate" else PAPER) for s in levels]
+    rounds += [(s, one, PAPER) for one in others for s in levels]
     return tasks(
         settings,
         (
             {"detector": d, "snr": s, "fault": f, "quantity": list(QUANTITIES), "accommodate": True}
-            | ({"process_noise": process} if d in PAPER else {})
-            for s, process, detectors in rounds
+            | (one._asdict() if d in PAPER else {})
+            for s, one, detectors in rounds
             for d in detectors
             for f in STRENGTHS
         ),
@@ -49,13 +55,14 @@ def accuracy_tasks(settings: Settings, seeds: int) -> list[Task]:
 def accuracy_summary(settings: Settings, results: Results) -> Summary:
     """Accuracy by trial and by sample, compared with the published accuracy."""
     rows = []
-    cells = judged_runs(results, "detector", "snr", "fault", "quantity", "process_noise")
+    cells = judged_runs(results, "detector", "snr", "fault", "quantity", "feedback", "process_noise")
     shown: dict[tuple[str, ...], Estimate] = {}
-    found: dict[tuple[str, ...], dict[str, Estimate]] = {}
+    found: dict[tuple[str, ...], dict[Interpretation, Estimate]] = {}
     stated: dict[tuple[str, ...], Published | None] = {}
     suffix = interpretations(settings)
-    for (detector, snr, fault, quantity, process), cell in cells.items():
-        other = suffix[process] if detector in PAPER else ""
+    for (detector, snr, fault, quantity, *which), cell in cells.items():
+        one = Interpretation(*which)
+        other = suffix[one] if detector in PAPER else ""
         at = partial(row, "pipeline/accuracy", detector, fault, quantity, condition=condition(snr, other))
         theirs = published.accuracy(snr, detector, quantity, fault)
         ours = metrics.trial_accuracy(cell["alarm"] & cell.active.any(axis=-1), cell.isolated, cell.active)
@@ -64,11 +71,11 @@ def accuracy_summary(settings: Settings, results: Results) -> Summary:
             at("trial_accuracy", ours, theirs),
             at("accuracy", metrics.accuracy(cell["alarm"], cell.active)),
         ]
-        if snr == "moderate":
-            found.setdefault((detector, fault, quantity), {})[process] = ours
-            stated[detector, fault, quantity] = theirs
-            if not other:
-                shown[detector, fault, quantity] = ours
+        if detector in PAPER:
+            found.setdefault((detector, f"{snr} SNR", fault, quantity), {})[one] = ours
+            stated[detector, f"{snr} SNR", fault, quantity] = theirs
+        if snr == "moderate" and not other:
+            shown[detector, fault, quantity] = ours
 
     def draw() -> Drawing:
         figure, axes = panels(QUANTITIES, columns=3, width=10.5, height=3.2)
@@ -100,12 +107,12 @@ def accuracy_summary(settings: Settings, results: Results) -> Summary:
         "here, "
         "over all faults and levels: " + " ".join(f"{q}: {_right(settings, rows, q)}." for q in QUANTITIES),
     ]
-    table = interpretations_table("Table VI by process noise: accuracy", ("detector", "fault", "quantity"), found, stated)
+    table = interpretations_table("Tables V to VII: accuracy", ("detector", "noise", "fault", "quantity"), found, stated)
     return Summary(
         rows=rows,
         figures=[figure] if shown else [],
         tables=[table] if table.rows else [],
-        remarks=[*remarks, *([nearer(found, stated)] if table.rows else []), *left_out(rows)],
+        remarks=[*remarks, *([near(found, stated)] if table.rows else []), *left_out(rows)],
     )
 
 
@@ -118,8 +125,8 @@ SCENARIO = Scenario(
     name="pipeline/accuracy",
     title="Accuracy of detection and isolation (Tables V-VII)",
     about="Share of runs with correct detection and isolation at three noise levels, for strong and weak biases and drifts in "
-    "each quantity, compared with the published tables; at the moderate level for both "
-    "interpretations of the paper's process noise. The default size has the moderate level only; `--full` has all three.",
+    "each quantity, compared with the published tables, for both forms of the banks' feedback and both process noises. The "
+    "default size has the moderate level only; `--full` has all three.",
     settings={**common("snr"), "levels": ("moderate",)},
     seeds=2,
     full_seeds=50,
@@ -127,4 +134,5 @@ SCENARIO = Scenario(
     work=trial,
     summarise=accuracy_summary,
     full={"levels": tuple(SIGMA)},
+    papers=("shaheen2024",),
 )

@@ -43,7 +43,9 @@ def consistency_work(task: Task) -> Arrays:
     detector: Any = (
         replace(registry.detector(task["detector"], plant), false_alarm=task["budget"])  # type: ignore[type-var]
         if task["budget"]
-        else FusingBank(plant, PAPER_FILTERS[task["detector"].removeprefix("fusing-")], thresholds=never)
+        else FusingBank(
+            plant, PAPER_FILTERS[task["detector"].removeprefix("fusing-")], thresholds=never, feedback=task["feedback"]
+        )
     )
     detector = watching(detector)
     data = faulted(detector.plant, task["steps"], task["seeds"], None, None, process_noise=True)

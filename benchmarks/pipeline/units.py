@@ -34,13 +34,13 @@ BESIDE = "loo-chi2"
 
 
 @cache
-def _variant(name: str, snr: str, process_noise: str) -> FusingBank:
+def _variant(name: str, snr: str, process_noise: str, feedback: str) -> FusingBank:
     plant = gas_pipeline(snr=snr, process_noise=process_noise, initial="identity")
     _, estimator, units = VARIANTS[name]
     paper = tuple(PAPER_UNITS.get(s.unit, 1.0) for s in plant.states)
     always = tuple((1e-12 * plant.sensor_sigma).tolist())  # the question is which sensor, not whether
     scale = paper if units == "paper" else tuple(plant.sensor_sigma.tolist())
-    return FusingBank(plant, estimator, thresholds=always, residual_scale=scale, accommodate=False)
+    return FusingBank(plant, estimator, thresholds=always, residual_scale=scale, accommodate=False, feedback=feedback)
 
 
 def units_tasks(settings: Settings, seeds: int) -> list[Task]:
@@ -53,7 +53,7 @@ def units_work(task: Task) -> Arrays:
     """A trial with the variant named in the task."""
     if task["detector"] not in VARIANTS:
         return trial(task)
-    return trial(task, _variant(task["detector"], task["snr"], task["process_noise"]))
+    return trial(task, _variant(task["detector"], task["snr"], task["process_noise"], task["feedback"]))
 
 
 def units_summary(settings: Settings, results: Results) -> Summary:

@@ -22,6 +22,7 @@ from fusion_sfdia.cli.listing import add_list
 from fusion_sfdia.cli.logs import add_check_log, add_diagnose, add_simulate
 from fusion_sfdia.cli.monitor import add_monitor
 from fusion_sfdia.cli.options import OnceParser, named_detector
+from fusion_sfdia.cli.papers import add_papers
 from fusion_sfdia.cli.runs import add_compare, add_run
 from fusion_sfdia.cli.signals import handled
 from fusion_sfdia.cli.speed import add_bench
@@ -53,6 +54,7 @@ def parser() -> argparse.ArgumentParser:
     add_tune(commands)
     add_inspect(commands)
     add_audit(commands)
+    add_papers(commands)
     add_fmu(commands)
     add_monitor(commands)
     add_bench(commands)

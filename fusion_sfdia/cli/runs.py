@@ -32,7 +32,7 @@ def add_run(commands: Any) -> None:
     """Add `run`."""
     one = commands.add_parser("run", help="run scenarios and write a report", allow_abbrev=False)
     one.add_argument("scenario", nargs="+", help="a name, or a glob such as 'pipeline/*'")
-    _add_common(one, seeds="runs of each scenario", full="as many runs as the paper", folder="results/ and the scenario's name")
+    add_common(one, seeds="runs of each scenario", full="as many runs as the paper", folder="results/ and the scenario's name")
     one.set_defaults(work=_run)
 
 
@@ -51,7 +51,7 @@ def add_compare(commands: Any) -> None:
             f"--{what}", dest="set", action="append", default=[], type=f"{what}={{}}".format, metavar="A,B", help="only these"
         )
     add_tuned(one, "plant")
-    _add_common(
+    add_common(
         one,
         seeds="runs of each fault",
         full="every sensor, and enough runs to rank detectors: hours",
@@ -60,7 +60,8 @@ def add_compare(commands: Any) -> None:
     one.set_defaults(work=_compare)
 
 
-def _add_common(one: argparse.ArgumentParser, *, seeds: str, full: str, folder: str) -> None:
+def add_common(one: argparse.ArgumentParser, *, seeds: str, full: str, folder: str) -> None:
+    """Add the size of a run, where it is worked on, its folder and its settings."""
     size = one.add_mutually_exclusive_group()
     size.add_argument("--seeds", type=integer, metavar="N", help=seeds)
     size.add_argument("--full", action="store_true", help=full)
@@ -87,7 +88,7 @@ def _run(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.experiments.runner import run_scenarios
     from fusion_sfdia.scenarios import match_scenarios, scenario
 
-    changes = _settings(chosen.set)
+    changes = changed_settings(chosen.set)
     names = match_scenarios(chosen.scenario)
     out = chosen.out or Path("results") / "-".join(chosen.scenario).replace("/", "-").replace("*", "all")
     outcome = run_scenarios(
@@ -100,7 +101,7 @@ def _run(chosen: argparse.Namespace) -> int:
         scheduler=chosen.scheduler,
         force=chosen.force,
     )
-    return _reported(outcome, out, as_json=chosen.json)
+    return reported(outcome, out, as_json=chosen.json)
 
 
 def _compare(chosen: argparse.Namespace) -> int:
@@ -109,7 +110,7 @@ def _compare(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.comparison.compare import compare
     from fusion_sfdia.registry import plant, require_known
 
-    settings: dict[str, Any] = _settings(chosen.set)
+    settings: dict[str, Any] = changed_settings(chosen.set)
     for key in settings:
         require_known("setting", key, protocol.SETTINGS)
     for kind in ("plants", "detectors"):
@@ -129,10 +130,10 @@ def _compare(chosen: argparse.Namespace) -> int:
         force=chosen.force,
         **settings,
     )
-    return _reported(found, out, as_json=chosen.json)
+    return reported(found, out, as_json=chosen.json)
 
 
-def _reported(found: Any, out: Path, *, as_json: bool) -> int:
+def reported(found: Any, out: Path, *, as_json: bool) -> int:
     """Print what was found, an Outcome or a ComparisonResult; 1 where some work failed."""
     from fusion_sfdia.evaluation import results
 
@@ -149,7 +150,8 @@ def _reported(found: Any, out: Path, *, as_json: bool) -> int:
     return 1 if found.failures else 0
 
 
-def _settings(texts: Sequence[str]) -> dict[str, str]:
+def changed_settings(texts: Sequence[str]) -> dict[str, str]:
+    """The settings of --set, each KEY=VALUE; ValueError for another form, and for one that is given twice."""
     found: dict[str, str] = {}
     for text in texts:
         key, equals, value = text.partition("=")

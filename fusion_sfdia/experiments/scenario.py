@@ -31,7 +31,7 @@ class Scenario:
     settings: names and defaults, which `--set name=value` overrides; a value has the type of its default, a tuple the
     type of its first entry. seeds: runs by default; full_seeds: the size of the paper, with `--full`.
     bounds: the least and largest value of a setting, where they are not USUAL, or at least 1 for a whole number.
-    optional: the settings that may be an empty tuple.
+    optional: the settings that may be an empty tuple. papers: keys of the papers whose numbers it has beside its own.
     full: what `--full` sets in addition to the size: settings of the whole paper, unless `--set` names them.
     tasks(settings, seeds): the independent pieces of work, each a mapping of JSON values that decides all its bits.
     work(task): one piece, in a process of its own: arrays only, and on one machine the same bits for the same task. Scenarios
@@ -51,6 +51,7 @@ class Scenario:
     full: Settings = field(default_factory=dict)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     optional: tuple[str, ...] = ()
+    papers: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         require_name("scenario", self.name, f"{NAME}(/{NAME})*")

@@ -1,7 +1,17 @@
 """Detector: the fusing filters of Shaheen 2024, a bank of N leave-one-out filters with an information mixture.
 
-As printed, with three changes. The process noise is reset in each step: fed back as Q_i = beta_i Q_m it decreases as N^(-2k)
-and the gain vanishes. The ensemble uses S = H P H' + R. Its feedback, which the paper does not specify, gives each local
+Step 3 adds information, P_m = (sum P_i^-1)^-1, Q_m = (sum Q_i^-1)^-1, and step 4 feeds it back with the information
+distribution factors beta_i, sum beta_i = 1:
+
+    printed     P_i = beta_i P_m,  Q_i = beta_i Q_m
+    federated   P_i = P_m / beta_i,  Q_i = Q_m / beta_i           (Carlson 1990), the default
+
+Federated, sum P_i^-1 = P_m^-1: information is shared out and none invented, and Q_i = N Q_m = Q for equal beta, as it was. As
+printed the sum is N^2 P_m^-1 for beta = 1/N in each step, and Q falls as N^(-2k), so that the gain vanishes; with "printed" P
+is as printed and Q is reset in each step. Federated with equal beta and one kind of filter, x_m and N P_m are the mean and
+covariance of one filter with the noise R N / (N - 1), as each reading enters N - 1 of them.
+
+Two more changes: the ensemble uses S = H P H' + R, and its feedback, which the paper does not specify, gives each local
 ensemble the mean and covariance of the mixture.
 """
 
@@ -15,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.alike import repeated, single
-from fusion_sfdia.core.arguments import floats
+from fusion_sfdia.core.arguments import floats, shown
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision, NotApplicableError, run
 from fusion_sfdia.core.health import broken
@@ -45,6 +55,8 @@ from fusion_sfdia.kalman_banks.leave_one_out import (
 
 Array = NDArray[Any]
 
+FEEDBACKS = ("federated", "printed")
+
 
 class Mixed(NamedTuple):
     """Mean x (..., n) and covariance p (..., n, n) of the mixture, the NIS (...), and the statistics of a central filter behind
@@ -62,7 +74,8 @@ class FusingBank(BatchDetector):
     """N local filters, the i-th without sensor i, mixed and fed back (Shaheen 2024, sec. III).
 
     plant, estimator: the model and the kind of local filter. beta: the information distribution factors (N,), which sum to 1;
-    None for 1/N each.
+    None for 1/N each. feedback: "federated" or "printed", of the covariance of the mixture. The covariance of a Decision is
+    N P_m with the first, P_m with the second.
     literal: run N filters one by one; otherwise the algebra of `leave_one_out` and `mixing` gives the same numbers at the cost
     of one filter (equal beta only: unequal beta always runs literally).
     thresholds: (N,) on the square root of the state variance (19) of each sensor, in sensor units. The paper gives no values:
@@ -79,10 +92,13 @@ class FusingBank(BatchDetector):
     residual_scale: tuple[float, ...] | None = None
     accommodate: bool = True
     literal: bool = False
+    feedback: str = "federated"
 
     def __post_init__(self) -> None:
         super().__post_init__()
         require_filter(self.estimator)
+        if self.feedback not in FEEDBACKS:
+            raise ValueError(f"feedback is {shown(self.feedback)}; known: {', '.join(FEEDBACKS)}")
         require_none_considered(self.plant, "a mixture of filters")
         n, count = len(self.plant.states), len(self.plant.sensors)
         if count < 2:
@@ -181,7 +197,7 @@ class FusingBank(BatchDetector):
             diverged=np.any([p.lost for p in prior], axis=0) | broken(mixed.x, mixed.p),
             guarded=np.any([p.guarded for p in prior], axis=0),
             nis=mixed.nis,
-            covariance=mixed.p,
+            covariance=mixed.p * (y.shape[-1] if self.feedback == "federated" else 1),
         )
         return core, decision
 
@@ -237,16 +253,17 @@ class FusingBank(BatchDetector):
         """Step 4: the core of each local filter, or their common one, of the mixture and the readings y in use."""
         count = len(self.plant.sensors)
         beta = np.full(count, 1.0 / count) if self.beta is None else np.asarray(self.beta)
+        factor = beta if self.feedback == "printed" else 1 / beta
         cores = [
             self.estimator.assimilate(
                 self.plant,
                 prior,
-                Reading(now.t, y, u, noise_gain=count / (count - 1), cov_gain=b / count),
+                Reading(now.t, y, u, noise_gain=count / (count - 1), cov_gain=c / count),
                 mixed.x,
-                repeated(b * single(mixed.p), mixed.p),
+                repeated(c * single(mixed.p), mixed.p),
                 step_stream(now.seed, now.k + 2**32),
             )
-            for prior, b in zip(priors, beta, strict=False)
+            for prior, c in zip(priors, factor, strict=False)
         ]
         return mapped(lambda *each: np.stack(each, axis=y.ndim - 1), *cores) if self.runs_literally else cores[0]
 

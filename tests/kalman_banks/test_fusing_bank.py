@@ -12,7 +12,8 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters.enkf import EnKFSettings
 from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Unscented
 from fusion_sfdia.filters.ukf import SigmaPoints
-from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.kalman_banks.fusing_bank import FEEDBACKS, FusingBank
 
 KINDS = [
     Extended(),
@@ -87,6 +88,42 @@ def test_unequal_beta_runs_literally_and_equal_beta_given_in_full_does_not() -> 
     np.testing.assert_array_equal(same.estimate, default.estimate)
     _, other = run(uneven, uneven.init(), t, y[:, 0], u[:, 0])
     assert np.all(np.isfinite(other.estimate)) and np.abs(other.estimate - same.estimate).max() > 1e-6
+
+
+@pytest.mark.parametrize("estimator", [Extended(), Unscented(), Ensemble(EnKFSettings(size=12))], ids=["ekf", "ukf", "enkf"])
+@pytest.mark.parametrize("feedback", FEEDBACKS)
+def test_each_local_filter_gets_the_share_of_the_mixture_that_the_feedback_states(estimator: Estimator, feedback: str) -> None:
+    """P_i = P_m / beta_i federated, so that their information sums to that of the mixture; beta_i P_m as printed."""
+    plant, beta = chain(4), np.array([0.4, 0.1, 0.3, 0.2])
+    t, _, y, u = readings(plant, 6, 1, seed=2)
+    bank = FusingBank(plant, estimator, beta=tuple(beta), thresholds=(np.inf,) * 4, feedback=feedback)
+    state, d = run(bank, bank.init(), t, y[:, 0], u[:, 0], covariance=True)
+    assert d.covariance is not None
+    mixed = d.covariance[-1] / (4 if feedback == "federated" else 1)
+    factor = 1 / beta if feedback == "federated" else beta
+    if isinstance(estimator, Ensemble):
+        # members keep their own spread, times the factor of the filters' number: of their mean that of the mixture alone
+        np.testing.assert_allclose(state.memory.members.mean(axis=-2), np.tile(d.estimate[-1], (4, 1)), rtol=1e-9)
+        return
+    # sums of 4 covariances and their inverses, conditioned below 1e3
+    np.testing.assert_allclose(state.memory.P, factor[:, None, None] * mixed, rtol=1e-10)
+    np.testing.assert_allclose(state.memory.x, np.tile(d.estimate[-1], (4, 1)), rtol=1e-12)
+    if feedback == "federated":
+        np.testing.assert_allclose(np.linalg.inv(state.memory.P).sum(axis=0), np.linalg.inv(mixed), rtol=1e-9)
+
+
+def test_federated_with_equal_shares_is_one_filter_with_a_little_more_noise() -> None:
+    """x_m and N P_m are those of a Kalman filter with R N / (N - 1): each reading enters N - 1 filters of N."""
+    plant = chain(6)
+    noisier = replace(plant, sensors=tuple(replace(s, sigma=s.noise_sigma * np.sqrt(6 / 5)) for s in plant.sensors))
+    t, _, y, u = readings(plant, 50, 1, seed=4)
+    bank, one = FusingBank(plant, Extended(), thresholds=(np.inf,) * 6), CentralFilter(noisier, Extended())
+    _, a = run(bank, bank.init(), t, y[:, 0], u[:, 0], covariance=True)
+    _, b = run(one, one.init(), t, y[:, 0], u[:, 0], covariance=True)
+    assert a.covariance is not None and b.covariance is not None
+    # the first covariance is the plant's in each filter: federated it would be N times that, so the two meet as it is forgotten
+    np.testing.assert_allclose(a.estimate[30:], b.estimate[30:], atol=1e-9)
+    np.testing.assert_allclose(a.covariance[30:], b.covariance[30:], rtol=1e-9)
 
 
 def test_a_large_bias_is_detected_isolated_and_accommodated() -> None:
@@ -164,6 +201,8 @@ def test_bad_settings_are_rejected() -> None:
     plant = chain(4)
     with pytest.raises(ValueError, match=r"beta has shape \(2,\) with minimum 0.5; expected 4 positive numbers"):
         FusingBank(plant, beta=(0.5, 0.5))
+    with pytest.raises(ValueError, match="feedback is 'none'; known: federated, printed"):
+        FusingBank(plant, feedback="none")
     with pytest.raises(ValueError, match="expected information distribution factors that sum to 1"):
         FusingBank(plant, beta=(0.5, 0.5, 0.5, 0.5))
     with pytest.raises(ValueError, match="leaving one out takes at least 2"):

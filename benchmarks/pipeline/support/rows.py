@@ -30,7 +30,8 @@ class JudgedRuns:
     def __init__(self, arrays: Arrays) -> None:
         sound = ~arrays["diverged"]
         self.runs, self.diverged = arrays["diverged"].size, int(arrays["diverged"].sum())
-        self._arrays = {k: v[SETTLE:][:, sound] if v.ndim > 1 else v[sound] for k, v in arrays.items()}
+        self._every = {k: v[:, sound] if v.ndim > 1 else v[sound] for k, v in arrays.items()}
+        self._arrays = {k: v[SETTLE:] if v.ndim > 1 else v for k, v in self._every.items()}
         self.active = unpack(self._arrays, "active", SENSORS)
         self.isolated = unpack(self._arrays, "isolated", SENSORS)
         self.judged = ~aftermath(np.asarray(self.active.any(axis=-1)))
@@ -39,6 +40,10 @@ class JudgedRuns:
     def divergence(self) -> Estimate:
         """Share of runs that diverged; all other numbers are of the runs that did not."""
         return proportion(self.diverged, self.runs)
+
+    def whole(self, name: str) -> Array:
+        """An array of the runs from the first sample on."""
+        return self._every[name]
 
     def __getitem__(self, name: str) -> Array:
         return self._arrays[name]

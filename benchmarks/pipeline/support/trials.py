@@ -19,6 +19,7 @@ from fusion_sfdia.evaluation.fault_draws import PRESETS, FaultRange
 from fusion_sfdia.evaluation.simulate import Recording, simulate
 from fusion_sfdia.evaluation.trials import Faulted, outcome, with_faults
 from fusion_sfdia.experiments.scenario import Arrays, Settings, Task, seed_blocks
+from fusion_sfdia.kalman_banks.fusing_bank import FEEDBACKS
 from fusion_sfdia.models.gas_pipeline.plant import PROCESS_NOISE, SIGMA, coarse_state, gas_pipeline
 
 Array = NDArray[Any]
@@ -34,13 +35,21 @@ AFTERMATH = 40  # samples after a fault in which a filter that followed it recov
 CHUNK = 25  # runs in one task
 # truth: the paper's readings come from the filter's own model ("model"), others may come from a finer grid ("finer")
 # process_noise: of the paper's filters, as printed ("nine-tenths" of the sensors' sigma) or "tenth"; ours have OWN
-COMMON: dict[str, Any] = {"steps": 360, "snr": "moderate", "process_noise": "nine-tenths", "truth": "model"}
+# feedback: of the paper's banks, "federated" or "printed"
+COMMON: dict[str, Any] = {
+    "steps": 360,
+    "snr": "moderate",
+    "process_noise": "nine-tenths",
+    "feedback": "federated",
+    "truth": "model",
+}
 OWN = "tenth"  # the plant's own process noise
 
 KNOWN = {  # values of the settings that are names
     "snr": tuple(SIGMA),
     "levels": tuple(SIGMA),
     "process_noise": tuple(PROCESS_NOISE),
+    "feedback": FEEDBACKS,
     "truth": ("model", "finer"),
     "faults": tuple(PRESETS),
 }
@@ -61,10 +70,11 @@ def initial(detector: str) -> str:
 
 
 @cache
-def detector_on_pipeline(name: str, snr: str, process_noise: str) -> Detector:
+def detector_on_pipeline(name: str, snr: str, process_noise: str, feedback: str) -> Detector:
     """A named detector on the paper's pipeline, built (and calibrated) once for all tasks of a process."""
     plant = gas_pipeline(snr=snr, process_noise=process_noise, initial=initial(name))
-    return fusing_bank(plant, name.removeprefix("fusing-")) if name in PAPER else registry.detector(name, plant)
+    bank = fusing_bank(plant, name.removeprefix("fusing-"), feedback=feedback) if name in PAPER else None
+    return bank or registry.detector(name, plant)
 
 
 def common(*without: str) -> dict[str, Any]:
@@ -119,7 +129,7 @@ def trial(task: Task, detector: Detector | None = None, truth: Plant | None = No
     Arrays as in `outcome`, with an axis of the cases before the others.
     """
     if detector is None:
-        detector = detector_on_pipeline(task["detector"], task["snr"], task["process_noise"])
+        detector = detector_on_pipeline(task["detector"], task["snr"], task["process_noise"], task["feedback"])
     if not task["accommodate"]:
         detector = watching(detector)
     plant = detector.plant

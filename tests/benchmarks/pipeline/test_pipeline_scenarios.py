@@ -20,7 +20,7 @@ from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.models.two_tanks.plant import two_tanks
 from fusion_sfdia.scenarios import scenario
 
-SETTINGS = {"steps": 150, "snr": "moderate", "process_noise": "tenth", "truth": "finer"}
+SETTINGS = {"steps": 150, "snr": "moderate", "process_noise": "tenth", "feedback": "federated", "truth": "finer"}
 
 
 def cells(
@@ -54,6 +54,26 @@ def test_the_papers_filters_have_the_process_noise_that_it_prints() -> None:
         of = {d: {t["process_noise"] for t in work if t["detector"] == d} for d in {t["detector"] for t in work}}
         both = {"tenth", "nine-tenths"} if name != "pipeline/isolation" else {"nine-tenths"}
         assert of == {d: {"tenth"} if d.startswith("loo") else both for d in of}, name
+        of = {d: {t["feedback"] for t in work if t["detector"] == d} for d in of}
+        both = {"federated", "printed"} if name != "pipeline/isolation" else {"federated"}
+        assert of == {d: both if d.startswith("fusing") else {"federated"} for d in of}, name
+
+
+def test_a_bank_of_each_feedback_is_beside_what_is_published() -> None:
+    one = scenario("pipeline/estimation")
+    settings = {**one.settings, "steps": 75}
+    chosen = [t for t in one.tasks(settings, 1) if t["detector"] == "fusing-ukf" and t["snr"] == "moderate"]
+    summary = one.summarise(settings, [(t, one.work(t)) for t in chosen])
+    rmse = {r.condition: r for r in summary.rows if r.metric == "rmse" and r.quantity == "pressure"}
+    assert set(rmse) == {
+        "moderate SNR", "moderate SNR, federated, 0.1 sigma", "moderate SNR, printed, 0.9 sigma",
+        "moderate SNR, printed, 0.1 sigma",
+    }  # fmt: skip
+    assert {r.published for r in rmse.values()} == {123.07}
+    # as printed the bank hardly follows its readings: its error grows as the truth moves
+    assert rmse["moderate SNR, printed, 0.1 sigma"].value > 3 * rmse["moderate SNR, federated, 0.1 sigma"].value
+    (line,) = (r for r in summary.tables[0].rows if r[2] == "pressure")
+    assert len(line) == 8 and "federated, 0.1 sigma" in summary.tables[0].header
 
 
 def test_both_interpretations_are_compared_with_the_published_value() -> None:
@@ -63,16 +83,16 @@ def test_both_interpretations_are_compared_with_the_published_value() -> None:
     summary = one.summarise(settings, [(t, one.work(t)) for t in chosen])
     rmse = {(r.quantity, r.condition): r for r in summary.rows if r.metric == "rmse"}
     literal = rmse["pressure", "moderate SNR"]
-    other = rmse["pressure", "moderate SNR, process noise 0.1 sigma"]
+    other = rmse["pressure", "moderate SNR, federated, 0.1 sigma"]
     assert literal.published == other.published == pytest.approx(158.2)
     assert literal.value > 2 * other.value  # a filter with larger process noise follows its sensors
     (line,) = (r for r in summary.tables[0].rows if r[2] == "pressure")
-    assert line[3:] == (
+    assert line[3:6] == (
         literal.published,
         (literal.value, literal.low, literal.high, 1),
         (other.value, other.low, other.high, 1),
     )
-    assert any("0.1 sigma in" in remark for remark in summary.remarks)
+    assert any("federated, 0.1 sigma 3 of 3" in remark for remark in summary.remarks)
 
 
 @pytest.mark.slow

@@ -1,0 +1,231 @@
+"""Writes published.csv, published.md and its figures: python docs/results/published.py METRICS...
+
+METRICS: metrics.csv of runs of `fusion-sfdia papers`; of a row in several of them the first counts. Without METRICS the page is
+written again from published.csv. Why a value is missed is in published.toml; what has no reason there is unexplained.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+import tomllib
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from math import isfinite, log10
+from pathlib import Path
+from textwrap import fill
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from fusion_sfdia.evaluation.results import Row, read_rows, rounded, write_rows
+from fusion_sfdia.report.figure_files import figure_svg
+
+HERE = Path(__file__).parent
+NUMBERS, PAGE, REASONS = (HERE / f"published.{kind}" for kind in ("csv", "md", "toml"))
+DIGITS = 4
+WIDTH = 128
+NEAR = 2.0  # a factor
+PAPERS = {  # key: how its sources begin, title
+    "shaheen2024": (("Shaheen 2024",), "Shaheen 2024, gas pipeline"),
+    "kougiatsos2024": (("Kougiatsos 2024", "K24"), "Kougiatsos 2024, marine engine"),
+    "kougiatsos2022": (("Kougiatsos 2022", "K22"), "Kougiatsos 2022, marine engine"),
+    "virtual2022": (("Kougiatsos and Reppa 2022", "V22"), "Kougiatsos and Reppa 2022, virtual sensors"),
+    "boem2018": (("Boem 2018", "B18"), "Boem 2018, power network"),
+}
+UNEXPLAINED = "unexplained"
+
+
+class Value(NamedTuple):
+    """A published number, and ours for it by reading of the paper, the default one first."""
+
+    paper: str
+    source: str
+    what: str
+    published: float
+    ours: dict[str, Row]
+
+    @property
+    def own(self) -> Row:
+        """Ours as the paper is read by default."""
+        return next(iter(self.ours.values()))
+
+    @property
+    def met(self) -> bool:
+        """Whether the published value is within our interval, or, where there is none, equal to three digits."""
+        own = self.own
+        if own.agrees is not None:
+            return own.agrees
+        return isfinite(own.value) and abs(own.value - self.published) <= 5e-3 * abs(self.published)
+
+    @property
+    def near(self) -> bool:
+        """Whether ours is within a factor `NEAR`."""
+        low, high = sorted((self.published / NEAR, self.published * NEAR))
+        return low <= self.own.value <= high
+
+
+def paper_of(source: str) -> str:
+    """The key of the paper; ValueError for a source of none."""
+    for key, (beginnings, _) in PAPERS.items():
+        if source.startswith(beginnings):
+            return key
+    raise ValueError(f"source {source!r} is of no paper; known: {', '.join(b for bs, _ in PAPERS.values() for b in bs)}")
+
+
+def values_of(rows: Iterable[Row]) -> list[Value]:
+    """The published numbers, in the order of the rows; rows whose conditions differ by what follows a comma are readings."""
+    found: dict[tuple[str, ...], Value] = {}
+    for row in rows:
+        if row.published is None:
+            continue
+        paper = paper_of(row.source)
+        condition, _, reading = row.condition.partition(", ") if paper == "shaheen2024" else (row.condition, "", "")
+        names = (row.detector, row.fault if row.fault != "none" else "", row.quantity, condition, row.metric.replace("_", " "))
+        key = (paper, row.source, row.scenario, *names)
+        if key not in found:
+            found[key] = Value(paper, row.source, ", ".join(n for n in names if n and n != "all"), row.published, {})
+        found[key].ours[reading] = row
+    return list(found.values())
+
+
+def reasons() -> list[tuple[str, re.Pattern[str], str]]:
+    """(paper, pattern of source and what, reason), the first that fits counts."""
+    with REASONS.open("rb") as file:
+        return [(r["paper"], re.compile(r["where"]), r["why"]) for r in tomllib.load(file)["reason"]]
+
+
+def reason_of(value: Value, known: Sequence[tuple[str, re.Pattern[str], str]]) -> str:
+    """Why a value is missed."""
+    text = f"{value.source}: {value.what}"
+    return next((why for paper, where, why in known if paper == value.paper and where.search(text)), UNEXPLAINED)
+
+
+def shown(number: float) -> str:
+    """A number with four digits at most."""
+    return "-" if not isfinite(number) else f"{number:.4g}"
+
+
+def cell(row: Row | None) -> str:
+    """A number with its interval."""
+    if row is None:
+        return ""
+    return shown(row.value) + (f" [{shown(row.low)}, {shown(row.high)}]" if isfinite(row.low) else "")
+
+
+def table(header: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    return "\n".join("| " + " | ".join(line) + " |" for line in (header, ["---"] * len(header), *lines))
+
+
+def render(values: Sequence[Value]) -> str:
+    """The page."""
+    known = reasons()
+    parts = [
+        "# Published numbers beside ours",
+        fill(
+            "Each number that one of the five papers states for something that a scenario measures, with ours beside it, from "
+            "`fusion-sfdia papers`, in brackets the 95 % interval. Met: within it, or, where a number has none, equal to three "
+            "digits. A miss has its reason, or is unexplained. What else the papers print wrongly: "
+            "[misprints](../explanations/misprints.md).",
+            WIDTH,
+        ),
+        table(
+            ("paper", "numbers", "met", f"within a factor {NEAR:g}", "missed, with a reason", "missed, unexplained"),
+            [_counts(title, [v for v in values if v.paper == key], known) for key, (_, title) in PAPERS.items()],
+        ),
+    ]
+    for key, (_, title) in PAPERS.items():
+        own = [v for v in values if v.paper == key]
+        if not own:
+            continue
+        parts.append(f"## {title}")
+        parts.append(f"![Ours over the published number, {title}](published-{key}.svg)")
+        for source in dict.fromkeys(_table_of(v.source) for v in own):
+            parts.append(f"### {source}")
+            parts.append(_lines([v for v in own if _table_of(v.source) == source], known))
+    return "\n\n".join(parts) + "\n"
+
+
+def _table_of(source: str) -> str:
+    """The source without what differs within a table: `Shaheen 2024, Table IV` of `Shaheen 2024, Table IV, low SNR`."""
+    found = re.match(r"[^,]+, (Table|Fig\.|sec\.) [\w().-]+", source)
+    return found[0] if found else source.partition(":")[0]
+
+
+def _counts(title: str, own: Sequence[Value], known: Sequence[tuple[str, re.Pattern[str], str]]) -> tuple[str, ...]:
+    missed = Counter(reason_of(v, known) == UNEXPLAINED for v in own if not v.met)
+    numbers = len(own), sum(v.met for v in own), sum(v.near for v in own), missed[False], missed[True]
+    return (title, *map(str, numbers))
+
+
+def _lines(own: Sequence[Value], known: Sequence[tuple[str, re.Pattern[str], str]]) -> str:
+    readings = list(dict.fromkeys(reading for v in own for reading in v.ours))
+    titles = [reading or ("ours" if len(readings) == 1 else "federated, 0.9 sigma") for reading in readings]
+    header = ("what", "published", *titles, "met", "why not")
+    lines = [
+        (
+            v.what,
+            shown(v.published),
+            *(cell(v.ours.get(reading)) for reading in readings),
+            "yes" if v.met else "no",
+            "" if v.met else reason_of(v, known),
+        )
+        for v in own
+    ]
+    return table(header, lines)
+
+
+def draw(own: Sequence[Value]) -> Figure:
+    """Ours over the published number, on a logarithmic scale, by table; misses are crosses."""
+    figure = Figure(figsize=(9.0, 3.4), layout="constrained")
+    axes = figure.subplots()
+    groups = list(dict.fromkeys(_table_of(v.source) for v in own))
+    for at, group in enumerate(groups):
+        values = [v for v in own if _table_of(v.source) == group and v.published and v.own.value / v.published > 0]
+        for k, v in enumerate(values):
+            x = at + 0.8 * ((k + 0.5) / len(values) - 0.5)
+            ratio = v.own.value / v.published
+            if isfinite(v.own.low):
+                ends = np.maximum(np.array(sorted((v.own.low / v.published, v.own.high / v.published))), 1e-3)
+                axes.plot([x, x], ends, color="0.6", linewidth=1)
+            axes.plot(x, ratio, "o" if v.met else "x", color="tab:green" if v.met else "tab:red", markersize=4)
+    axes.axhline(1.0, color="0.3", linewidth=0.8)
+    axes.axhspan(1 / NEAR, NEAR, color="0.93", zorder=0)
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    axes.set_ylim(10 ** max(log10(low), -3), high)
+    axes.set_xticks(range(len(groups)), [g.partition(", ")[2] or g for g in groups], rotation=20, ha="right")
+    axes.set_ylabel("ours / published")
+    axes.set_title("circles: within our interval; crosses: missed; grey: within a factor 2", fontsize=9)
+    return figure
+
+
+def figures(values: Sequence[Value]) -> dict[str, str]:
+    """The figure of each paper by file name."""
+    found = {}
+    for key in PAPERS:
+        if own := [v for v in values if v.paper == key]:
+            found[f"published-{key}.svg"] = figure_svg(f"published-{key}", lambda own=own: draw(own))
+    return found
+
+
+def main(metrics: Sequence[str]) -> None:
+    """Write the numbers, the page and the figures."""
+    if metrics:
+        first: dict[tuple[str, ...], Row] = {}
+        for path in metrics:
+            for row in read_rows(Path(path)):
+                if row.published is not None:
+                    key = (row.scenario, row.detector, row.fault, row.quantity, row.condition, row.metric, row.source)
+                    first.setdefault(key, rounded(row, DIGITS))
+        write_rows(NUMBERS, first.values())
+    values = values_of(read_rows(NUMBERS))
+    PAGE.write_text(render(values), encoding="utf-8")
+    for name, svg in figures(values).items():
+        (HERE / name).write_text(svg, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
