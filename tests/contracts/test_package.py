@@ -103,7 +103,10 @@ def test_the_wheel_from_the_sdist_holds_the_package_and_nothing_else(root: Path,
     assert {name.split("/")[0] for name in names} == {"fusion_sfdia", f"fusion_sfdia-{fusion_sfdia.__version__}.dist-info"}
     expected = {
         "fusion_sfdia/py.typed",
-        *(f"fusion_sfdia/report/{f}" for f in ("page.html.j2", "page.css", "log_page.html.j2", "sortable.min.js")),
+        *(
+            f"fusion_sfdia/report/{f}"
+            for f in ("page.html.j2", "page.css", "log_page.html.j2", "units.html.j2", "sortable.min.js")
+        ),
     }
     folders = {"fusion_sfdia": "fusion_sfdia", "models": "fusion_sfdia/models", "benchmarks": "fusion_sfdia/benchmarks"}
     for folder, package in folders.items():
