@@ -51,6 +51,9 @@ from fusion_sfdia.evaluation.cases import ComparisonCases as ComparisonCases
 from fusion_sfdia.evaluation.cases import MismatchCase as MismatchCase
 from fusion_sfdia.evaluation.cases import PaperFault as PaperFault
 from fusion_sfdia.evaluation.cases import ProcessFaultCase as ProcessFaultCase
+from fusion_sfdia.evaluation.detection_metrics import Roc as Roc
+from fusion_sfdia.evaluation.detection_metrics import auc as auc
+from fusion_sfdia.evaluation.detection_metrics import roc as roc
 from fusion_sfdia.evaluation.diagnose import Diagnosis as Diagnosis
 from fusion_sfdia.evaluation.events import Event as Event
 from fusion_sfdia.evaluation.events import ProcessEvent as ProcessEvent
@@ -60,6 +63,7 @@ from fusion_sfdia.evaluation.fault_draws import draw_faults as draw_faults
 from fusion_sfdia.evaluation.fault_effects import apply_faults as apply_faults
 from fusion_sfdia.evaluation.faults import Fault as Fault
 from fusion_sfdia.evaluation.faults import load_faults as load_faults
+from fusion_sfdia.evaluation.isolation_metrics import confusion as confusion
 from fusion_sfdia.evaluation.model_health import Health as Health
 from fusion_sfdia.evaluation.simulate import Recording as Recording
 from fusion_sfdia.evaluation.simulate import simulate as simulate

@@ -13,9 +13,9 @@ from fusion_sfdia.benchmarks.pipeline.support.rows import judged_runs, row
 from fusion_sfdia.benchmarks.pipeline.support.trials import COMMON, OURS, PAPER, SENSORS, STRENGTHS, Results, grid, tasks, trial
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.isolation_metrics import (
+    confusion,
     exact_isolation,
     false_flag_rate,
-    isolation_confusion,
     isolation_precision,
     isolation_recall,
 )
@@ -71,7 +71,7 @@ def isolation_summary(settings: Settings, results: Results) -> Summary:
         "Isolation matrices, weak bias",
         "Each row is a faulty sensor (63, by quantity, inlet to outlet), grey where no run has this fault; each column is "
         "the isolated sensor. Yellow on the diagonal: correct; yellow in the first column: missed.",
-        lambda: draw_matrices({d: isolation_confusion(c.isolated, c.active) for d, c in weak.items()}),
+        lambda: draw_matrices({d: confusion(c.isolated, c.active) for d, c in weak.items()}),
         "Five confusion matrices of 64 by 64, one per detector",
     )
     remarks = [

@@ -38,7 +38,7 @@ def exact_isolation(isolated: Array, active: Array, where: Array | None = None) 
     return rate_over_runs((exact & counted).sum(axis=0), counted.sum(axis=0))
 
 
-def isolation_confusion(isolated: Array, active: Array, where: Array | None = None) -> Array:
+def confusion(isolated: Array, active: Array, where: Array | None = None) -> Array:
     """Confusion matrix (N + 1, N + 1), rows the truth, columns what is isolated, index 0 none (Shaheen 2024, Fig. 6).
 
     Each sample is one entry in the row of every faulty sensor, or in row 0 where none is. It falls in its own column

@@ -64,14 +64,14 @@ def test_isolation_counted_by_hand():
 
 def test_confusion_counted_by_hand():
     _, isolated, active = case()
-    found = isolation.isolation_confusion(isolated, active)
+    found = isolation.confusion(isolated, active)
     np.testing.assert_array_equal(found, [[10, 1, 0], [1, 2, 0], [1, 1, 2]])
 
 
 def test_confusion_shares_a_sample_among_the_wrong_ones():
     active, isolated = np.zeros((1, 1, 3), bool), np.zeros((1, 1, 3), bool)
     active[0, 0, 0] = isolated[0, 0, 1] = isolated[0, 0, 2] = True
-    found = isolation.isolation_confusion(isolated, active)
+    found = isolation.confusion(isolated, active)
     np.testing.assert_array_equal(found[1], [0, 0, 0.5, 0.5])
     assert found.sum() == 1
 
@@ -79,7 +79,7 @@ def test_confusion_shares_a_sample_among_the_wrong_ones():
 def test_confusion_rows_add_up_to_the_samples_of_each_truth():
     rng = np.random.default_rng(0)
     active, isolated = rng.random((2, 40, 6, 4)) < 0.2
-    found = isolation.isolation_confusion(isolated, active)
+    found = isolation.confusion(isolated, active)
     np.testing.assert_allclose(found.sum(axis=1), [(~active.any(-1)).sum(), *active.sum(axis=(0, 1))], rtol=1e-12)
     np.testing.assert_allclose(np.diagonal(found)[1:], (active & isolated).sum(axis=(0, 1)), rtol=1e-12)
 
@@ -242,7 +242,7 @@ def test_nothing_to_count_is_nan_with_n_zero():
         assert found.n == 0
         assert all(np.isnan(v) for v in found[:3])
     assert detection.roc(scores, healthy).threshold.size == 0
-    assert not isolation.isolation_confusion(healthy, healthy, none_counted).any()
+    assert not isolation.confusion(healthy, healthy, none_counted).any()
 
 
 def test_one_run_has_a_value_without_an_interval():
