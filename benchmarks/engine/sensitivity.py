@@ -201,5 +201,4 @@ SCENARIO = Scenario(
     work=sensitivity_work,
     summarise=sensitivity_summary,
     full={"levels": (0.01, 0.03, 0.05, 0.07, 0.1), "duration": 20.0},
-    papers=("kougiatsos2024",),
 )

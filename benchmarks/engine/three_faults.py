@@ -6,7 +6,7 @@ from functools import partial
 
 from fusion_sfdia.benchmarks.engine.support.decisions import isolation_rows, pattern_share, shares, value_of
 from fusion_sfdia.benchmarks.engine.support.published_runs import PUBLISHED_TIMELINE, compare_with_published
-from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, Results, by_detector, row, tasks, timeline, trial
+from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, SAMPLING, Results, by_detector, row, tasks, timeline, trial
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
 from fusion_sfdia.models.marine_engine.published import (
@@ -102,7 +102,7 @@ SCENARIO = Scenario(
     about="Offsets of -38 kN m of the torque sensor at 20 s, 50 kPa of the receiver's pressure sensor at 45 s and 8 K of the "
     "charge air's temperature sensor at 70 s, at full load with 5 % noise: residuals, thresholds and decisions of the ten "
     "modules, and how many sensors they isolate (Kougiatsos 2024, Fig. 4, (25), (26)).",
-    settings={"noise": THREE_FAULTS.noise, "duration": THREE_FAULTS.duration, "detectors": DETECTORS},
+    settings={"noise": THREE_FAULTS.noise, "duration": THREE_FAULTS.duration, "detectors": DETECTORS, "sampling": SAMPLING},
     seeds=3,
     full_seeds=100,
     tasks=three_tasks,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fusion_sfdia.benchmarks.engine.support.decisions import shares, value_of
 from fusion_sfdia.benchmarks.engine.support.published_runs import compare_with_published
-from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, Results, by_detector, tasks, trial
+from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, SAMPLING, Results, by_detector, tasks, trial
 from fusion_sfdia.experiments.scenario import Scenario, Settings, Task
 from fusion_sfdia.models.marine_engine.published import TWO_FAULTS
 from fusion_sfdia.report.content import Summary
@@ -49,7 +49,7 @@ SCENARIO = Scenario(
     title="Two sensor faults in a marine engine",
     about="Offsets of 50 kPa of the receiver's pressure sensor at 10 s and 8 K of the charge air's temperature sensor at 20 s, "
     "at full load with 3 % noise and the observer gains of that paper (Kougiatsos 2022, Fig. 3).",
-    settings={"noise": TWO_FAULTS.noise, "duration": TWO_FAULTS.duration, "detectors": DETECTORS},
+    settings={"noise": TWO_FAULTS.noise, "duration": TWO_FAULTS.duration, "detectors": DETECTORS, "sampling": SAMPLING},
     seeds=3,
     full_seeds=100,
     tasks=two_tasks,

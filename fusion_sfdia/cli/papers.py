@@ -17,7 +17,7 @@ def add_papers(commands: Any) -> None:
         "papers",
         help="measure what the papers publish, and compare",
         epilog="Runs the scenarios that have numbers of the papers beside their own. published.csv has each published number "
-        "with ours; a number is met where it is within our 95 %% interval.",
+        "with ours; a number is met where it is within our 95 % interval.",
         allow_abbrev=False,
     )
     one.add_argument("--paper", choices=PAPERS, help="of one paper alone (default: all)")

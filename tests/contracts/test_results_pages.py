@@ -75,3 +75,20 @@ def test_links_of_the_documentation_lead_somewhere(root: Path) -> None:
             if anchor:
                 titles = re.findall(r"^#+ (.*)$", there.read_text(encoding="utf-8"), re.MULTILINE)
                 assert anchor[1:] in {re.sub(r"[^\w -]", "", title).lower().replace(" ", "-") for title in titles}, anchor
+
+
+def test_the_page_of_published_numbers_is_that_of_its_numbers(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each number stands once, every reason is used, and a value is met only where its interval, not its width, says so."""
+    monkeypatch.syspath_prepend(str(folder))
+    published = importlib.import_module("published")
+    values = published.values_of(published.read_rows(published.NUMBERS))
+    assert published.render(values) == published.PAGE.read_text(encoding="utf-8"), "run docs/results/published.py"
+    assert {f"published-{v.paper}.svg" for v in values} == {p.name for p in folder.glob("published-*.svg")}
+    assert len({(v.paper, v.source, v.what) for v in values}) == len(values) > 200
+    known = published.reasons()
+    given = {published.reason_of(v, known) for v in values if not v.met_by}
+    assert {why for _, _, why in known} <= given | {published.UNEXPLAINED}
+    for v in values:
+        for name in v.met_by:
+            own = v.ours[name]
+            assert own.value == pytest.approx(v.published, rel=5e-3) or (own.low <= v.published <= own.high and v.near)

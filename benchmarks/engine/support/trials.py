@@ -38,15 +38,16 @@ NAMES = tuple(MODULES)  # of the modules, each that of one sensor, in the same o
 CHUNK = 50  # runs in one task
 BLOCK = 1000  # samples that are stacked at a time
 BIN = 10  # samples of a trace of which two are kept
+SAMPLING = 0.01  # s between readings; the papers state none
 MOST_NOISE = 0.12  # of the nominal values: the envelope is twice as wide and must not contain negative pressures
 
 row = partial(row_of, PLANT)  # of scenario, detector, fault, quantity, metric, estimate, published; condition
 
 
 @cache
-def engine(noise: float, design: str) -> Plant:
-    """The engine at full load with readings of that noise and modules as designed in K24 or K22."""
-    plant = marine_engine(noise=noise)
+def engine(noise: float, design: str, sampling: float = SAMPLING) -> Plant:
+    """The engine at full load with readings of that noise, so many seconds apart, and modules as designed in K24 or K22."""
+    plant = marine_engine(noise=noise, dt=sampling)
     assert plant.structure.modules is not None
     gains, bounds = DESIGNS[design]
     modules = replace(plant.structure.modules, gains=gains, observer_bounds=bounds)
@@ -56,9 +57,9 @@ def engine(noise: float, design: str) -> Plant:
 
 
 @cache
-def engine_detector(name: str, noise: float, design: str = "K24") -> AdaptiveThreshold:
+def engine_detector(name: str, noise: float, design: str = "K24", sampling: float = SAMPLING) -> AdaptiveThreshold:
     """A named detector on that engine, built once for all tasks of a process."""
-    detector = registry.detector(name, engine(noise, design))
+    detector = registry.detector(name, engine(noise, design, sampling))
     assert isinstance(detector, AdaptiveThreshold)
     alike = design if design == AT_NOMINAL_SPEED else "K24"
     vars(detector)["slopes"] = proof(noise, alike)  # the cached property: seconds, and the same for all modes, gains, bounds
@@ -72,9 +73,9 @@ def proof(noise: float, design: str) -> Slopes:
 
 
 @lru_cache(maxsize=1)
-def recording(noise: float, steps: int, seeds: tuple[int, ...]) -> Recording:
+def recording(noise: float, steps: int, seeds: tuple[int, ...], sampling: float = SAMPLING) -> Recording:
     """Healthy readings, the same for every detector."""
-    return simulate(engine(noise, "K24"), steps, seeds, truth="model")
+    return simulate(engine(noise, "K24", sampling), steps, seeds, truth="model")
 
 
 def offsets(plant: Plant, t: Array, y: Array, faults: Iterable[Sequence[Any]]) -> Array:
@@ -100,6 +101,7 @@ def tasks(settings: Settings, faults: Sequence[Offset], seeds: int, design: str 
         "noise": settings["noise"],
         "duration": settings["duration"],
         "design": design,
+        "sampling": float(str(settings.get("sampling", SAMPLING))),
         "faults": [list(f) for f in faults],
     }
     return [common | {"detector": d, "seeds": block} for block in seed_blocks(seeds, CHUNK) for d in settings["detectors"]]
@@ -107,8 +109,9 @@ def tasks(settings: Settings, faults: Sequence[Offset], seeds: int, design: str 
 
 def trial(task: Task) -> Arrays:
     """The runs of a task through its detector; arrays as in `module_scores`."""
-    detector = engine_detector(task["detector"], task["noise"], task["design"])
-    healthy = recording(task["noise"], round(task["duration"] / detector.plant.dt), tuple(task["seeds"]))
+    detector = engine_detector(task["detector"], task["noise"], task["design"], task["sampling"])
+    steps = round(task["duration"] / detector.plant.dt)
+    healthy = recording(task["noise"], steps, tuple(task["seeds"]), task["sampling"])
     y = offsets(detector.plant, healthy.t, healthy.y, task["faults"])
     onset = min((onset for _, onset, _ in task["faults"]), default=np.inf)
     return module_scores(detector, healthy.t, y, healthy.u, onset)
