@@ -143,6 +143,29 @@ def test_a_large_bias_is_detected_isolated_and_accommodated() -> None:
     assert np.nanmean(with_fdi.fault_size[during, :, 5]) == pytest.approx(15.0, abs=4 / np.sqrt(400) + 0.3)
 
 
+@pytest.mark.parametrize("literal", [False, True])
+def test_two_faults_at_once_are_isolated_where_two_are_allowed(literal: bool) -> None:
+    plant = chain(8)
+    t, x, y, u = readings(plant, 160, 6, seed=3)
+    one = replace(FusingBank.fit(plant, (t, y, u), estimator=Extended(), false_alarm=1e-2), literal=literal)
+    two = replace(one, max_faults=2)
+    faulty = y.copy()
+    faulty[100:140, :, 5] += 15.0
+    faulty[100:140, :, 1] -= 12.0
+    found = {bank.max_faults: run(bank, bank.init((6,)), t, faulty, u)[1] for bank in (one, two)}
+    during = slice(100, 140)
+    assert (found[1].isolated.sum(axis=-1) <= 1).all() and (found[2].isolated.sum(axis=-1) <= 2).all()
+    assert found[1].isolated[during][..., [1, 5]].all(axis=-1).mean() == 0.0
+    assert found[2].isolated[during][..., [1, 5]].all(axis=-1).mean() > 0.95
+    error = {k: np.sqrt(np.mean((d.estimate - x)[during] ** 2)) for k, d in found.items()}
+    assert error[2] < 0.5 * error[1]
+    # without a second fault the third sensors stay in use
+    single = run(two, two.init((6,)), t, np.where(np.arange(8) == 1, y, faulty), u)[1]
+    assert single.isolated[during][..., 5].mean() > 0.95 and np.delete(single.isolated, 5, axis=-1)[during].mean() < 0.02
+    with pytest.raises(ValueError, match="expected fewer than the 8 sensors"):
+        FusingBank(plant, max_faults=8)
+
+
 def test_calibration_keeps_the_stated_rate_on_fresh_data() -> None:
     plant = tanks()
     t, _, y, u = readings(plant, 400, 25, seed=4)
