@@ -76,7 +76,7 @@ class Decision:
     process_size, process_sd (..., P), how far the process is above the model and its standard deviation, in the unit of the
     hypothesis, NaN where not accepted; suspect (..., hypotheses + P) bool, the hypotheses that explain an alarm without a
     decision between them; probability (..., hypotheses + P), of each hypothesis at present, what is missing to 1 is that of
-    none.
+    none, NaN where the method states none.
     """
 
     estimate: Array

@@ -192,7 +192,8 @@ def _undecided(names: Sequence[str], t: Array, decisions: Decision, gap: int) ->
     for a, b in spans(np.any(decisions.suspect, axis=-1), gap):
         sets = [tuple(np.flatnonzero(held).tolist()) for held in decisions.suspect[a : b + 1] if np.any(held)]
         chosen = list(Counter(reversed(sets)).most_common(1)[0][0])  # the later one at a tie
-        likely = np.zeros(len(names)) if decisions.probability is None else decisions.probability[a : b + 1].mean(axis=0)
+        known = np.zeros((1, len(names))) if decisions.probability is None else decisions.probability[a : b + 1]
+        likely = np.nan_to_num(known).mean(axis=0)
         suspects = tuple(names[i] for i in sorted(chosen, key=lambda i: -likely[i]))
         when = _when(t, a, b)
         found.append(UndecidedEvent(" or ".join(suspects), *when, float("nan"), "", b == len(t) - 1, suspects))

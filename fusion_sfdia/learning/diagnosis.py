@@ -190,6 +190,7 @@ def decisions_of(channels: Channels, v: Verdicts) -> Decision:
         estimate=np.zeros((rows, 1)), reconstruction=np.where(isolated, y - size, y), residual=residual,
         threshold=np.ones((rows, count)), isolated=isolated, fault_size=np.where(isolated, size, np.nan), diverged=no,
         guarded=no, nis=np.full(rows, np.nan), capped=no, process=process, process_size=none, process_sd=none, suspect=suspect,
+        probability=np.full(suspect.shape, np.nan),
     )  # fmt: skip
 
 

@@ -113,7 +113,10 @@ class LiveMonitor:
         grid: Grid = state.memory
         start = t if np.isnan(grid.start) else float(grid.start)
         step, at = int(np.rint((t - start) / self.dt)), int(grid.step)
-        none = Past.none(self.channels, self.learnt)
+        if step < at:
+            raise ValueError(
+                f"t is {t:g} s, before the last row, at {float(state.t):g} s; give rows in the order of their times"
+            )
         if step == at:
             known, total, least, most = grid.known, grid.total, grid.least, grid.most
             before = grid.before
@@ -122,7 +125,7 @@ class LiveMonitor:
             least = most = np.full(y.size, np.nan)
             before = grid.now
             if at >= 0 and step - at > LONG:
-                before = self._kept(none)
+                before = self._kept(Past.none(self.channels, self.learnt))
             elif at >= 0 and step - at > 1:
                 skipped = np.arange(at + 1, step)
                 _, past = self._follow(start + self.dt * skipped, np.full((skipped.size, y.size), np.nan), before)

@@ -161,8 +161,7 @@ class Changes:
         if "recent" in saved.arrays:
             times = saved.take("recent", "f", None)
             tested = any(f"recent.{name}" in saved.arrays for name in OF_PROCESS)
-            alone = "probability" if "recent.probability" not in saved.arrays else ""  # not every method has one
-            names = [name for name in OF_DECISION if name not in OF_PROCESS or (tested and name != alone)]
+            names = [name for name in OF_DECISION if tested or name not in OF_PROCESS]
             named = {name: _saved(saved, detector, name, times.size) for name in names}
             for k, t in enumerate(times.tolist()):
                 found.recent.append((t, Decision(**{name: values[k] for name, values in named.items()})))
@@ -182,7 +181,7 @@ OF_DECISION = {  # kind and axes of what a Decision has: N sensors, H hypotheses
     "capped": ("b", ""), "absurd": ("b", "N"), "absurd_input": ("b", "m"), "process": ("b", "P"), "process_size": ("f", "P"),
     "process_sd": ("f", "P"), "suspect": ("b", "S"), "probability": ("f", "S"),
 }  # fmt: skip
-OF_PROCESS = ("process", "process_size", "process_sd", "suspect", "probability")  # last in a Decision, all or none but the last
+OF_PROCESS = ("process", "process_size", "process_sd", "suspect", "probability")  # last in a Decision, all or none
 
 
 def _saved(saved: SavedArrays, detector: Detector, name: str, count: int) -> Array:

@@ -116,6 +116,10 @@ def test_missing_readings_and_inputs_and_repeats_are_judged_as_they_are(monitor:
     assert {s.verdict for s in anew.take(10.0, np.full(8, np.nan), np.full(1, np.nan))} == {Verdict.BLIND}
     with pytest.raises(ValueError, match=r"expected \(8,\) and \(1,\)"):
         watch.detector.step(watch.detector.init(), 0.0, y[0], np.empty(0))
+    state, _ = watch.detector.step(watch.detector.init(), 100.0, y[0], np.zeros(1))
+    state, _ = watch.detector.step(state, 120.0, y[1], np.zeros(1))
+    with pytest.raises(ValueError, match="t is 105 s, before the last row, at 120 s"):
+        watch.detector.step(state, 105.0, y[2], np.zeros(1))
     with pytest.raises(ValueError, match="follows one run"):
         watch.detector.init((2,))
 
