@@ -10,7 +10,7 @@ from pathlib import Path
 from textwrap import indent
 from typing import Any
 
-from fusion_sfdia.cli.options import add_names, printed_warnings
+from fusion_sfdia.cli.options import add_absent_sensors, add_names, printed_warnings
 from fusion_sfdia.core.numerals import integer
 
 OWN_FILE = "monitor.txt"
@@ -32,6 +32,7 @@ def add_monitor(commands: Any) -> None:
     one.add_argument("--data", type=Path, metavar="LOG.csv", help="the log to diagnose, of the same columns")
     add_names(one, "--inputs", "columns that act on the plant, such as a load or valves", [])
     add_names(one, "--ignore", "columns that are left out", [])
+    add_absent_sensors(one)
     one.add_argument("--map", type=Path, metavar="MAP.toml", help="how the logs are written, and which columns are used")
     one.add_argument("--false-alarm", metavar="RATE", help="rows in alarm: 1/day, 2/hour or a share (default: 0.01)")
     one.add_argument(
@@ -106,7 +107,7 @@ def monitored(chosen: argparse.Namespace, out: Path, learnt: Any, say: Any) -> i
 
     with locked(out, force=chosen.force):
         monitor = learnt()
-        data = monitor.read(chosen.data, chosen.map)
+        data = monitor.read(chosen.data, chosen.map, absent_sensors=chosen.absent_sensors)
         say(f"{chosen.data}:\n{indent(str(data), '  ')}")
         with printed_warnings():
             found, log = monitor.diagnose(data), monitor.on_grid(data.log)

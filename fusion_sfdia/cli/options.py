@@ -53,7 +53,7 @@ def kept_monitor(chosen: argparse.Namespace) -> Any:
     from fusion_sfdia.learning.monitor import Monitor
 
     stated = {"--detector": chosen.detector, "--tuned": chosen.tuned, "--healthy": getattr(chosen, "healthy", None)}
-    stated |= {f"--{name.replace('_', '-')}": getattr(chosen, name) for name in OF_COLUMNS}
+    stated |= {f"--{name.replace('_', '-')}": getattr(chosen, name) for name in OF_COLUMNS if name != "absent_sensors"}
     stated["--plant"] = chosen.plant != PLANT
     if given := [name for name, value in stated.items() if value]:
         raise ValueError(
@@ -64,9 +64,14 @@ def kept_monitor(chosen: argparse.Namespace) -> Any:
 
 def add_columns(one: Any, inputs: str = "where the log has no column") -> None:
     """Add what may be lacking in a log, or too much; see `columns`. inputs: where the plant's usual ones are assumed."""
-    one.add_argument("--absent-sensors", action="store_true", help="treat sensors without a column as missing throughout")
+    add_absent_sensors(one)
     one.add_argument("--other-columns", action="store_true", help="ignore columns that are no sensors or inputs")
     one.add_argument("--nominal-inputs", action="store_true", help=f"assume the plant's usual inputs {inputs}")
+
+
+def add_absent_sensors(one: Any) -> None:
+    """Add --absent-sensors."""
+    one.add_argument("--absent-sensors", action="store_true", help="treat sensors without a column as missing throughout")
 
 
 def columns(chosen: argparse.Namespace) -> dict[str, bool]:

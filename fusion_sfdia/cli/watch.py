@@ -174,7 +174,7 @@ def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap) -> Non
     from fusion_sfdia.live.rows import TextRows, lines
 
     watch = saved.watch
-    allowed = columns(chosen) if chosen.monitor is None else {"other_columns": True}
+    allowed = columns(chosen) if chosen.monitor is None else {"other_columns": True, "absent_sensors": chosen.absent_sensors}
     rows = TextRows(watch.detector.plant, log_map, **allowed, refused=watch.refused)
     if watch.clock.start is not None and watch.t is not None:
         rows.last = watch.clock.start.astimezone(UTC) + timedelta(seconds=watch.t)

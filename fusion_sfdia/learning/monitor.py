@@ -172,9 +172,12 @@ class Monitor:
         )
         return replace(found, healthy=(*self.healthy, *origin), remarks=(*_changes(self, found, later, names), *found.remarks))
 
-    def read(self, source: Any, log_map: LogMap | str | Path | None = None) -> LoadedLog:
-        """Read a log, a file or a pandas frame, of the columns that were learnt; ValueError where one is not there."""
-        return load(source, self.channels.sensors, self.channels.inputs, _map(log_map))
+    def read(self, source: Any, log_map: LogMap | str | Path | None = None, *, absent_sensors: bool = False) -> LoadedLog:
+        """Read a log, a file or a pandas frame, of the columns that were learnt; ValueError where one is not there.
+
+        absent_sensors: whether sensors without a column are missing throughout.
+        """
+        return load(source, self.channels.sensors, self.channels.inputs, _map(log_map), absent_sensors=absent_sensors)
 
     def diagnose(self, log: Any, clock: Clock = SECONDS, *, log_map: LogMap | str | Path | None = None) -> Diagnosis:
         """Diagnose a log of one run: a file, a pandas frame, what `read` gave, or a Log, y (K, N) and u (K, m) of all sensors

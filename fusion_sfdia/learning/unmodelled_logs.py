@@ -57,7 +57,14 @@ def _unit_of_cells(table: Table, title: str, log_map: LogMap) -> str:
         return ""
 
 
-def load(source: Any, sensors: Sequence[Signal], inputs: Sequence[Signal] = (), log_map: LogMap = PLAIN_MAP) -> LoadedLog:
+def load(
+    source: Any,
+    sensors: Sequence[Signal],
+    inputs: Sequence[Signal] = (),
+    log_map: LogMap = PLAIN_MAP,
+    *,
+    absent_sensors: bool = False,
+) -> LoadedLog:
     """Read a log of these columns, as `load_log` does; other columns are ignored. No step is expected."""
     count = len(sensors)
     plant = linear_plant(
@@ -65,7 +72,7 @@ def load(source: Any, sensors: Sequence[Signal], inputs: Sequence[Signal] = (), 
         [Sensor(s.name, s.name, s.unit, sigma=1.0) for s in sensors],
         dt=1.0, x0=np.zeros(1), initial_cov=np.ones(1), process_cov=np.ones(1), inputs=inputs,
     )  # fmt: skip
-    found = read_log(source, plant, log_map, {"absent": False, "other": True, "nominal": False}, Expected(dt=None))
+    found = read_log(source, plant, log_map, {"absent": absent_sensors, "other": True, "nominal": False}, Expected(dt=None))
     regular = regularities(plant, found.log)
     repeats = [
         Finding("repeat", sensors[i].name, regular.taken[i],

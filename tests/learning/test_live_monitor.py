@@ -157,6 +157,25 @@ def test_watch_and_diagnose_take_a_kept_monitor(
     assert {("sensor", "s2"), ("sensor", "s0"), ("outside", "still")} <= events
 
 
+@pytest.mark.slow
+def test_a_log_without_a_column_is_refused_or_its_sensor_is_missing(
+    monitor: Monitor, kept: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_log(tmp_path / "whole.csv", monitor.plant, *made(22, 120))
+    lines = (tmp_path / "whole.csv").read_text().splitlines()
+    data = tmp_path / "data.csv"
+    data.write_text("\n".join(",".join(line.split(",")[:2] + line.split(",")[3:]) for line in lines) + "\n")  # without s1
+    diagnose = ["diagnose", "--monitor", kept, "--data", str(data), "--out", str(tmp_path / "out"), "--json"]
+    assert main(diagnose) == 2 and "no column for the sensors 's1'" in capsys.readouterr().err
+    assert main([*diagnose, "--absent-sensors"]) == 0
+    assert [e["hypothesis"] for e in json.loads(capsys.readouterr().out) if e["fault"] == "dropout"] == ["s1"]
+    for options, code in (([], 2), (["--absent-sensors"], 0)):
+        monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO(data.read_bytes())))
+        assert main(["watch", "--monitor", kept, *options]) == code
+    opened = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert "s1" in {e["hypothesis"] for e in opened if e["event"] == "opened"}
+
+
 @pytest.mark.parametrize("command", ["watch", "diagnose"])
 def test_a_plant_or_a_detector_beside_a_monitor_is_refused(
     kept: str, command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
