@@ -142,7 +142,7 @@ class Monitor:
         moments = [
             (float(p.t[0]), len(p.t), clock, name) for name, log, clock in zip(named, logs, clocks, strict=True) for p in log
         ]
-        gridded = tuple(_as_log(log, len(sensors)) for log in logs)
+        gridded = tuple(_as_log([_there(p) for p in log], len(sensors)) for log in logs)
         found = cls(channels, dt, stated, max(per_row, least), learnt, origin, gridded)
         return replace(found, remarks=tuple(_remarks(found, rows, per_row, moments)))
 
@@ -162,7 +162,8 @@ class Monitor:
         """
         sources = list(healthy) if isinstance(healthy, list | tuple) else [healthy]
         read = [source if isinstance(source, LoadedLog) else self.read(source, log_map) for source in sources]
-        later = [self.on_grid(one.log) for one in read]
+        count = len(self.channels.sensors)
+        later = [_as_log([_there(p) for p in pieces_of(self._fitting(one.log), self.dt)], count) for one in read]
         names = [*(name for name, *_ in self.healthy), *map(_name, sources, range(len(self.logs) + 1, 10**6))]
         sensors, inputs = self.channels.sensors, self.channels.inputs
         found = Monitor.of_logs(sensors, [*self.logs, *later], inputs=inputs, false_alarm=self.rate, dt=self.dt, names=names)
@@ -310,6 +311,12 @@ class Monitor:
 
 def _name(source: Any, k: int) -> str:
     return Path(source).name if isinstance(source, str | Path) else f"healthy log {k}"
+
+
+def _there(piece: Piece) -> Piece:
+    """The rows of a piece that are in its log."""
+    some = piece.rows >= 0
+    return Piece(piece.t[some], piece.v[some], piece.rows[some])
 
 
 def _as_log(pieces: Sequence[Piece], sensors: int) -> Log:

@@ -201,6 +201,13 @@ def test_files_and_frames_are_learnt_and_diagnosed(monitor: Monitor, tmp_path: P
 
     of_file, of_frame = (found.diagnose(s) for s in (tmp_path / "data.csv", pd.read_csv(tmp_path / "data.csv")))
     assert repr(of_file.events) == repr(of_frame.events) and of_file.state is Verdict.SENSOR
+    write_log(tmp_path / "3.csv", monitor.plant, *made(3, skipped=0.4))
+    write_log(tmp_path / "4.csv", monitor.plant, *made(4, skipped=0.4))
+    gappy = [tmp_path / "3.csv", tmp_path / "4.csv"]
+    at_once = Monitor.fit(gappy, inputs=["load"])
+    later = Monitor.fit(gappy[:1], inputs=["load"]).update(gappy[1:])
+    assert later.channels.names == at_once.channels.names  # skipped rows are not missing readings
+    np.testing.assert_array_equal(later.learnt.limits.limit, at_once.learnt.limits.limit)
     with pytest.raises(ValueError, match="no column 'loads'"):
         Monitor.fit(tmp_path / "1.csv", inputs=["loads"])
     with pytest.raises(ValueError, match="there are no healthy logs"):
