@@ -24,7 +24,7 @@ from fusion_sfdia.kalman_banks.particle_filter import ParticleFilter
 
 ROOT = Ensemble(EnKFSettings(size=8, method="square-root"))
 PLANT = tanks()
-LEVELS = tuple(2e-2 * PLANT.sensor_sigma)  # so low that the banks always have an alarm to suppress
+LEVELS = tuple(3e-3 * PLANT.sensor_sigma)  # so low that the banks always have an alarm to suppress
 DETECTORS: dict[str, Detector] = {
     "central-ekf": CentralFilter(PLANT),
     "central-ukf": CentralFilter(PLANT, Unscented()),
