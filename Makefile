@@ -54,7 +54,7 @@ test-kernels: $(DEV)
 	$(BIN)/python tests/helpers/kernels.py $(KERNELS) -n $(WORKERS)
 
 # the lowest versions of all requirements that pyproject.toml allows, in an environment of their own; versions of that time may
-# call what their own requirements have deprecated since
+# call what their own requirements have deprecated since, and what numba has compiled is of no use to another version of it
 LOWEST := .venv-lowest
 LOWEST_TESTS ?= tests/core tests/data_driven tests/logs tests/report tests/live/test_opcua.py tests/live/test_mqtt.py
 
@@ -65,7 +65,7 @@ $(LOWEST)/.made: pyproject.toml $(DEV)
 	@touch $@
 
 test-lowest: $(LOWEST)/.made
-	$(LOWEST)/bin/python -m pytest -n $(WORKERS) --dist worksteal -p no:cacheprovider -W ignore::DeprecationWarning $(LOWEST_TESTS)
+	NUMBA_CACHE_DIR='$(CURDIR)/$(LOWEST)/compiled' $(LOWEST)/bin/python -m pytest -n $(WORKERS) --dist worksteal -p no:cacheprovider -W ignore::DeprecationWarning $(LOWEST_TESTS)
 
 # small changes of the code, each of which one test has to notice: make mutants MUTANTS='kalman_banks quiet' tries some
 MUTANTS ?=
