@@ -69,6 +69,7 @@ from fusion_sfdia.evaluation.simulate import Recording as Recording
 from fusion_sfdia.evaluation.simulate import simulate as simulate
 from fusion_sfdia.filters.estimators import Ensemble as Ensemble
 from fusion_sfdia.filters.estimators import Extended as Extended
+from fusion_sfdia.filters.estimators import GaussianParticles as GaussianParticles
 from fusion_sfdia.filters.estimators import Unscented as Unscented
 from fusion_sfdia.filters.filterpy_adapter import plant_from_filterpy as plant_from_filterpy
 from fusion_sfdia.fmu.from_fmu import from_fmu as from_fmu

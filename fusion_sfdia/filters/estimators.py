@@ -1,7 +1,7 @@
-"""The three filters of the banks with one interface: start, predict, joint, assimilate.
+"""The filters of the banks with one interface: start, predict, joint, assimilate.
 
-A core is what a filter carries from step to step: a GaussianState for the extended and unscented filters, an EnsembleState
-for the ensemble filter. Predictions keep the plant's limits, see `guarded_steps`.
+A core is what a filter carries from step to step: a GaussianState for the extended, unscented and Gaussian particle filters,
+an EnsembleState for the ensemble filter. Predictions keep the plant's limits, see `guarded_steps`.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.alike import for_all, repeated, single
-from fusion_sfdia.core.arguments import shown
+from fusion_sfdia.core.arguments import shown, whole
 from fusion_sfdia.core.detector import NotApplicableError
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.filters import ekf, enkf, gaussian, ukf
+from fusion_sfdia.filters import ekf, enkf, gaussian, particle, ukf
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.filters.guarded_steps import (
     guarded_points,
@@ -90,7 +90,9 @@ class Reading(NamedTuple):
 def require_filter(estimator: object) -> None:
     """Raise ValueError for anything but an estimator; a class in place of its instance is refused too."""
     if isinstance(estimator, type) or not hasattr(estimator, "assimilate"):
-        raise ValueError(f"estimator is {shown(estimator)}; expected Extended(), Unscented() or Ensemble()")
+        raise ValueError(
+            f"estimator is {shown(estimator)}; expected Extended(), Unscented(), Ensemble() or GaussianParticles()"
+        )
 
 
 def require_consistent(estimator: object) -> None:
@@ -218,6 +220,83 @@ class Ensemble:
         members *= np.sqrt(reading.cov_gain)
         members += x[..., None, :]
         return EnsembleState(members)
+
+
+@dataclass(frozen=True)
+class GaussianParticles(_Moments):
+    """The Gaussian particle filter (Kotecha and Djuric 2003), with the Kalman update of the moments as importance density
+    (van der Merwe et al. 2000): from the prior, no particle would hit the readings of many sensors.
+
+    size: number of particles, more than states. The draws of a step have mean 0 and covariance I exactly, and all runs and
+    local filters share them, so that on a linear plant every weight is the same and the filter is the Kalman filter.
+    """
+
+    size: int = 1000
+    consistent: bool = field(default=False, init=False, repr=False)
+
+    def start(self, plant: Plant, batch: tuple[int, ...], rng: np.random.Generator) -> Core:
+        require_none_considered(plant, "the weights of particles")
+        if whole("size", self.size, least=1) <= len(plant.states):
+            raise ValueError(f"{self.size} particles; expected more than the {len(plant.states)} states of {plant.name!r}")
+        return super().start(plant, batch, rng)
+
+    def predict(self, plant: Plant, core: Core, t_start: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
+        z = standard_draws(rng, self.size, len(plant.states))
+        if all(plant.linear):
+            return Extended().predict(plant, core, t_start, u, dt, rng)._replace(propagated=z)
+        start, moved = plant.guard(core.x)
+        _, ahead, any_moved, stuck, lost = guarded_points(plant, t_start, _drawn(start, core.P, z), u, dt)
+        x, spread = enkf.moments(ahead)
+        p = gaussian.add(spread, plant.process_cov_over(dt))
+        return Prior(GaussianState(x, p), moved | any_moved | stuck, lost, propagated=z)
+
+    def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint:
+        if plant.linear[1]:
+            return Extended().joint(plant, prior, t, u)
+        x, p = prior.core
+        assert prior.propagated is not None
+        members = _drawn(x, p, prior.propagated)
+        return enkf.joint(members, lambda s: readings_of_points(plant, t, s, u), plant.sensor_cov)._replace(x=x, P=p)
+
+    def weighed(
+        self, plant: Plant, prior: list[Prior], joints: list[Joint], reading: Reading, x: Array, p: Array
+    ) -> tuple[Array, Array]:
+        """Return mean x (..., N, n) and covariance p (..., N, n, n) of N local filters from draws of the x and p given.
+
+            X = x + L z,    L L' = p,    w ~ N(X; prior) prod_j N(y_j; h_j(X), R_j) / N(X; x, p)
+
+        prior, joints: of each filter, or one for all. reading: y (..., N, N), NaN where a filter does not use a reading.
+        """
+        x, p = np.array(x), np.array(p)
+        for i in range(x.shape[-2]):
+            before, joint = prior[min(i, len(prior) - 1)], joints[min(i, len(joints) - 1)]
+            z, (mean, cov) = before.propagated, before.core
+            assert z is not None
+            members = _drawn(x[..., i, :], p[..., i, :, :], z)
+            h = plant.near(readings_of_points(plant, reading.t, members, reading.u), joint.y[..., None, :])
+            exact = np.diagonal(cov, axis1=-2, axis2=-1) == 0  # states without variance stay at the mean
+            L = gaussian.cholesky(cov + exact[..., None] * np.eye(exact.shape[-1]) if exact.any() else cov)
+            away = np.swapaxes(members - mean[..., None, :], -1, -2)
+            whitened = gaussian.solve_lower(np.broadcast_to(L, (*away.shape[:-2], *L.shape[-2:])), away)
+            log = particle.log_likelihood(h, reading.y[..., i, :], plant.sensor_cov)
+            log = log - 0.5 * np.sum(whitened * whitened, axis=-2) + 0.5 * np.sum(z * z, axis=-1)
+            w = np.exp(particle.normalise(log))
+            x[..., i, :], spread = particle.weighted_moments(members, w)
+            p[..., i, :, :] = spread / (1 - np.sum(w * w, axis=-1))[..., None, None]  # unbiased: M - 1 for equal weights
+        return x, p
+
+
+def standard_draws(rng: np.random.Generator, size: int, count: int) -> Array:
+    """Draws (size, count) of N(0, I), moved so that their mean is 0 and their covariance I."""
+    z = rng.standard_normal((size, count))
+    z -= np.mean(z, axis=0)
+    L = np.linalg.cholesky(z.T @ z / (size - 1))
+    return np.ascontiguousarray(gaussian.solve_lower(L, z.T).T)
+
+
+def _drawn(x: Array, p: Array, z: Array) -> Array:
+    """Draws (..., M, n) with mean x (..., n) and covariance p (..., n, n) of standard ones z (M, n)."""
+    return np.asarray(x[..., None, :] + z @ np.swapaxes(gaussian.square_root(p), -1, -2))
 
 
 def step_stream(seed: Array | int, step: Array | int) -> np.random.Generator:

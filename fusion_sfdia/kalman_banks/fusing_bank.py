@@ -13,6 +13,9 @@ covariance of one filter with the noise R N / (N - 1), as each reading enters N 
 
 Two more changes: the ensemble uses S = H P H' + R, and its feedback, which the paper does not specify, gives each local
 ensemble the mean and covariance of the mixture.
+
+The paper names three extensions as future work: several faults at once (`max_faults`), particle filters as local filters
+(`GaussianParticles`), and thresholds that adapt (`adaptive`, see `expected_deviation`).
 """
 
 from __future__ import annotations
@@ -34,6 +37,7 @@ from fusion_sfdia.core.state import State, mapped
 from fusion_sfdia.filters.estimators import (
     Core,
     Estimator,
+    GaussianParticles,
     Prior,
     Reading,
     Unscented,
@@ -47,6 +51,7 @@ from fusion_sfdia.kalman_banks.disagreement import disagreement
 from fusion_sfdia.kalman_banks.leave_one_out import (
     LeaveOneOut,
     eliminate,
+    local_covariances,
     local_estimates,
     normalised_innovation_squared,
     posterior,
@@ -70,11 +75,22 @@ class Mixed(NamedTuple):
     central: LeaveOneOut | None = None
 
 
+class Local(NamedTuple):
+    """The local filters after an update: the statistics of all readings in use, estimates x (..., N, n) and covariances
+    p (..., N, n, n), None where the mixture needs none.
+    """
+
+    found: LeaveOneOut
+    x: Array
+    p: Array | None
+
+
 @dataclass(frozen=True)
 class FusingBank(BatchDetector):
     """N local filters, the i-th without sensor i, mixed and fed back (Shaheen 2024, sec. III).
 
-    plant, estimator: the model and the kind of local filter. beta: the information distribution factors (N,), which sum to 1;
+    plant, estimator: the model and the kind of local filter: `Extended`, `Unscented`, `Ensemble` or `GaussianParticles`.
+    beta: the information distribution factors (N,), which sum to 1;
     None for 1/N each. feedback: "federated" or "printed", of the covariance of the mixture. The covariance of a Decision is
     N P_m with the first, P_m with the second.
     literal: run N filters one by one; otherwise the algebra of `leave_one_out` and `mixing` gives the same numbers at the cost
@@ -88,6 +104,9 @@ class FusingBank(BatchDetector):
     max_faults: sensors that are isolated in one step, one after the other: without those before the bank is asked again. The
     paper isolates one. settle: samples from the start on in which filters forget their initial covariance: thresholds are
     infinite until then; `fit_thresholds` learns it.
+    adaptive: thresholds are in units of `expected_deviation` of the present sample, which grows where a filter has just started
+    and where readings are missing; equal beta only. With few readings missing and settled filters they differ little from
+    constant ones.
     """
 
     estimator: Estimator = field(default_factory=lambda: Unscented(redraw=False))
@@ -99,6 +118,7 @@ class FusingBank(BatchDetector):
     feedback: str = "federated"
     max_faults: int = 1
     settle: int = 0
+    adaptive: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -121,6 +141,8 @@ class FusingBank(BatchDetector):
             object.__setattr__(self, what, tuple(values.tolist()))
         if self.beta is not None and not np.isclose(sum(self.beta), 1.0, rtol=1e-9):
             raise ValueError(f"beta sums to {sum(self.beta):.6g}; expected information distribution factors that sum to 1")
+        if self.adaptive and self.beta is not None and len(set(self.beta)) > 1:
+            raise ValueError("adaptive thresholds are for equal beta, with which all filters have one prior; give beta=None")
 
     @property
     def runs_literally(self) -> bool:
@@ -145,9 +167,10 @@ class FusingBank(BatchDetector):
         """
         t, y, u = self._healthy(healthy, false_alarm, warm_up)
         groups = self.plant.quantities
-        silent = replace(self, thresholds=(np.inf,) * len(self.plant.sensors), settle=0)
+        ones = (1.0,) * len(self.plant.sensors)
+        silent = replace(self, thresholds=ones, threshold_scale=1.0, settle=0, accommodate=False, max_faults=1)
         _, decisions = run(silent, silent.init(y.shape[1:-1], float(t[0]) - self.plant.dt), t, y, u)
-        of_runs = np.abs(decisions.residual[:, ~np.any(decisions.diverged, axis=0)])
+        of_runs = (decisions.residual / decisions.threshold)[:, ~np.any(decisions.diverged, axis=0)]
         settle = _settled(of_runs.reshape(len(t), -1, y.shape[-1]))
         residual = of_runs[max(warm_up, settle) :].reshape(-1, y.shape[-1])
         share = false_alarm / len(groups)
@@ -181,21 +204,27 @@ class FusingBank(BatchDetector):
         joints = [self.estimator.joint(plant, p, now.t, u) for p in prior]
         y = plant.near(y, joints[0].y)
         used = np.isfinite(y)
-        founds, local = self._update(joints, y, used)
-        mixed = self._mix(joints, founds, local, y)
-        seen, residual, distance = self._disagreement(now, joints, local, mixed.x, used, u, scale)
+        local = self._update(prior, joints, now, y, used, u)
+        mixed = self._mix(joints, local, y)
+        seen, residual, distance = self._disagreement(now, joints, local.x, mixed.x, used, u, scale)
         limits = np.inf if self.thresholds is None else self.threshold_scale * np.asarray(self.thresholds)
+        if self.adaptive:
+            limits = limits * expected_deviation(local.found, plant.sensor_cov)
         threshold = np.broadcast_to(limits if now.k >= self.settle else np.inf, y.shape)
         alarm = np.any(residual > threshold, axis=-1)
         suspect = np.argmax(np.where(used, distance, -1.0), axis=-1)
         isolated = alarm[..., None] & used & (np.arange(y.shape[-1]) == suspect[..., None])
         kept = used & ~isolated
         if self.accommodate and np.any(isolated):
-            mixed = self._without(mixed, joints, founds[0], y, kept, suspect)
+            mixed = (
+                self._without(mixed, joints, local.found, y, kept, suspect)
+                if local.p is None
+                else self._mix(joints, self._update(prior, joints, now, y, kept, u), y)
+            )
         for _ in range(self.max_faults - 1 if np.any(isolated) else 0):
-            founds, local = self._update(joints, y, kept)
-            without = self._mix(joints, founds, local, y)
-            _, further, distance = self._disagreement(now, joints, local, without.x, kept, u, scale)
+            local = self._update(prior, joints, now, y, kept, u)
+            without = self._mix(joints, local, y)
+            _, further, distance = self._disagreement(now, joints, local.x, without.x, kept, u, scale)
             alarm = isolated.any(axis=-1) & np.any(further > threshold, axis=-1)
             if not np.any(alarm):
                 break
@@ -203,7 +232,7 @@ class FusingBank(BatchDetector):
             isolated |= alarm[..., None] & kept & (np.arange(y.shape[-1]) == suspect[..., None])
             kept = used & ~isolated
             if self.accommodate:
-                mixed = self._mix(joints, *self._update(joints, y, kept), y)
+                mixed = self._mix(joints, self._update(prior, joints, now, y, kept, u), y)
         kept = kept if self.accommodate else used
         core = self._fed_back(prior, mixed, now, np.where(kept, y, np.nan), u)
         unseen = np.diagonal(seen, axis1=-2, axis2=-1)  # expected y_i of filter i, which does not use y_i
@@ -238,33 +267,38 @@ class FusingBank(BatchDetector):
         est, plant = self.estimator, self.plant
         return [est.predict(plant, c, now.t_start, u, now.dt, step_stream(now.seed, now.k)) for c in cores]
 
-    def _update(self, joints: list[Joint], y: Array, used: Array) -> tuple[list[LeaveOneOut], Array]:
-        """Step 2: statistics of the readings in use (for each filter when literal), and local estimates (..., N, n)."""
+    def _update(self, prior: list[Prior], joints: list[Joint], now: TimeStep, y: Array, used: Array, u: Array) -> Local:
+        """Step 2: the local filters after the readings in use."""
+        without_own = used[..., None, :] & ~np.eye(used.shape[-1], dtype=bool)
+        found, p = statistics(joints[0], y, used), None
         if self.runs_literally:
-            count = len(self.plant.sensors)
-            founds = [statistics(joint, y, used & (np.arange(count) != i)) for i, joint in enumerate(joints)]
-            return founds, np.stack([posterior(j, f)[0] for j, f in zip(joints, founds, strict=True)], axis=-2)
-        found = statistics(joints[0], y, used)
-        return [found], local_estimates(joints[0], found)[0]
+            founds = [statistics(joint, y, without_own[..., i, :]) for i, joint in enumerate(joints)]
+            each = [posterior(joint, one) for joint, one in zip(joints, founds, strict=True)]
+            x, p = np.stack([m for m, _ in each], axis=-2), np.stack([c for _, c in each], axis=-3)
+        else:
+            x, gains = local_estimates(joints[0], found)
+        if isinstance(self.estimator, GaussianParticles):
+            if p is None:
+                p = local_covariances(joints[0], found, gains)
+            reading = Reading(now.t, np.where(without_own, y[..., None, :], np.nan), u)
+            x, p = self.estimator.weighed(self.plant, prior, joints, reading, x, p)
+        return Local(found, x, p)
 
-    def _mix(self, joints: list[Joint], founds: list[LeaveOneOut], local: Array, y: Array) -> Mixed:
+    def _mix(self, joints: list[Joint], local: Local, y: Array) -> Mixed:
         """Step 3: mixture."""
         plant, central = self.plant, None
-        if self.runs_literally:
-            p = np.stack([posterior(j, f)[1] for j, f in zip(joints, founds, strict=True)], axis=-3)
+        if local.p is not None:
             # LAPACK's eigenvalues fail for the whole batch if one run is not finite; its local estimates are not finite either
-            sound = np.all(np.isfinite(p), axis=(-3, -2, -1), keepdims=True)
-            x, p = mixing.mix(local, np.where(sound, p, np.diag(plant.state_scale**2)), plant.state_scale)
+            sound = np.all(np.isfinite(local.p), axis=(-3, -2, -1), keepdims=True)
+            x, p = mixing.mix(local.x, np.where(sound, local.p, np.diag(plant.state_scale**2)), plant.state_scale)
         elif self.estimator.consistent:
-            x, p, central = mixing.mixture(joints[0], y, founds[0].used, plant.sensor_cov)
+            x, p, central = mixing.mixture(joints[0], y, local.found.used, plant.sensor_cov)
         else:
-            x, p = mixing.mixture_of_any_joint(joints[0], founds[0])
-        return Mixed(x, p, normalised_innovation_squared(joints[0], founds[0], y), central)
+            x, p = mixing.mixture_of_any_joint(joints[0], local.found)
+        return Mixed(x, p, normalised_innovation_squared(joints[0], local.found, y), central)
 
     def _without(self, mixed: Mixed, joints: list[Joint], found: LeaveOneOut, y: Array, kept: Array, suspect: Array) -> Mixed:
         """The mixture of the readings `kept` (..., N): again where the suspect (...) is not among them, as it was elsewhere."""
-        if self.runs_literally:
-            return self._mix(joints, *self._update(joints, y, kept), y)
         at = np.any(found.used & ~kept, axis=-1)
         x, P, expected, S, C = (a[at] for a in joints[0][:5])
         joint = Joint(x, P, expected, S, C)
@@ -295,6 +329,24 @@ class FusingBank(BatchDetector):
             for prior, c in zip(priors, factor, strict=False)
         ]
         return mapped(lambda *each: np.stack(each, axis=y.ndim - 1), *cores) if self.runs_literally else cores[0]
+
+
+def expected_deviation(found: LeaveOneOut, R: Array) -> Array:
+    """The root (..., N) of the expected variance (19) over the local filters, in sensor units, for readings in use.
+
+    Filter i expects sensor s to read h_s(x_f) - (H K)_si u_i / w_i, see `leave_one_out`, with u of covariance W = S^-1, w_i =
+    W_ii and H K = I - R W. With G_si = (H K)_si / w_i and N filters,
+
+        E[variance_s] = sum_i (H K)_si G_si / N - (G W G')_ss / N^2
+
+    for Gaussian innovations of covariance S. found: the statistics of all readings in use; R (N,). Not in the paper.
+    """
+    W, count = found.inverse, R.size
+    read = -R[:, None] * W
+    np.einsum("...ii->...i", read)[...] += found.used
+    G = read / np.where(found.used, found.weight, 1.0)[..., None, :]
+    variance = np.sum(read * G, axis=-1) / count - np.sum((G @ W) * G, axis=-1) / count**2
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 def _settled(residual: Array) -> int:

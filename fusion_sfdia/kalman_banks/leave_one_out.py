@@ -194,6 +194,13 @@ def local_estimates(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
     return local, repeated(gains, x)
 
 
+def local_covariances(joint: Joint, found: LeaveOneOut, gains: Array) -> Array:
+    """Return P_i = P_f + K_i K_i' / w_i (..., N, n, n) of every local filter; gains: K_i as rows (..., N, n)."""
+    p = single(posterior(joint, found)[1])[..., None, :, :]
+    share = gains / np.where(found.used, found.weight, 1.0)[..., None]
+    return np.asarray(p + gains[..., :, None] * share[..., None, :])
+
+
 def normalised_innovation_squared(joint: Joint, found: LeaveOneOut, y: Array) -> Array:
     """Return d' S^-1 d over the readings used, divided by their number (...): 1 on average for a consistent filter."""
     batch = found.used.shape[:-1]

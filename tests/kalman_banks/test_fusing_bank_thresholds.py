@@ -7,7 +7,7 @@ import pytest
 from toy_plants import chain, readings, tanks
 
 from fusion_sfdia.core.detector import run
-from fusion_sfdia.filters.estimators import Extended
+from fusion_sfdia.filters.estimators import Extended, Unscented
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 
 
@@ -66,3 +66,45 @@ def test_the_error_for_too_few_samples_states_the_expected_number() -> None:
     enough = replace(bank.fit_thresholds((t, y, u), 0.1), accommodate=False)
     _, d = run(enough, enough.init((2,)), t, y, u)
     np.testing.assert_array_equal(d.scores[20:].max(axis=(0, 1)), np.ones(4))
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.5])
+def test_adaptive_thresholds_are_in_units_of_the_root_mean_square_residual(missing: float) -> None:
+    """From the start on, with and without gaps: the filter's model is the truth, so its innovations have covariance S."""
+    plant, runs = chain(4, sensors=6), 800
+    t, _, y, u = readings(plant, 15, runs, seed=5)
+    gone = np.random.default_rng(1).random(y.shape[::2]) < missing  # the same in all runs
+    y = np.where(gone[:, None], np.nan, y)
+    bank = FusingBank(plant, Extended(), thresholds=(1.0,) * 6, adaptive=True, accommodate=False)
+    _, d = run(bank, bank.init((runs,)), t, y, u)
+    expected = d.threshold[:, 0]
+    np.testing.assert_array_equal(d.threshold, np.broadcast_to(expected[:, None], d.threshold.shape))
+    ratio = np.mean(d.residual**2, axis=1)[~gone] / expected[~gone] ** 2
+    # a weighted sum of at most 4 chi-squares: its standard deviation is at most sqrt(2) of its mean
+    error = np.sqrt(2 / runs)
+    assert np.all(np.abs(ratio - 1) < 4.5 * error) and np.abs(ratio.mean() - 1) < error
+
+
+def test_adaptive_thresholds_keep_their_rate_with_missing_readings_and_constant_ones_do_not() -> None:
+    plant, rate = chain(6), 0.01
+    t, _, y, u = readings(plant, 400, 20, seed=6)
+    constant = FusingBank.fit(plant, (t, y, u), rate, estimator=Extended())
+    adaptive = FusingBank.fit(plant, (t, y, u), rate, estimator=Extended(), adaptive=True)
+    t, _, y, u = readings(plant, 400, 20, seed=7)
+    y = np.where(np.random.default_rng(2).random(y.shape) < 0.6, np.nan, y)
+    found = [run(bank, bank.init((20,)), t, y, u)[1].alarm[20:].mean() for bank in (constant, adaptive)]
+    # alarms that follow each other count as one in three: the states forget in some 3 samples
+    error = np.sqrt(3 * rate / (380 * 20))
+    assert found[1] < rate + 3 * error and found[0] > 2 * rate
+
+
+def test_adaptive_thresholds_are_the_same_literally_and_of_printed_unscented_filters() -> None:
+    plant = tanks()
+    t, _, y, u = readings(plant, 20, 1, seed=3)
+    for estimator in (Extended(), Unscented(redraw=False)):
+        fast = FusingBank(plant, estimator, thresholds=(2.0,) * 4, adaptive=True)
+        slow = replace(fast, literal=True)
+        (_, a), (_, b) = (run(bank, bank.init(), t, y[:, 0], u[:, 0]) for bank in (fast, slow))
+        np.testing.assert_allclose(a.threshold, b.threshold, rtol=1e-6)  # of covariances that differ by rounding times 1e6
+    with pytest.raises(ValueError, match="adaptive thresholds are for equal beta"):
+        FusingBank(plant, Extended(), beta=(0.4, 0.2, 0.2, 0.2), adaptive=True)

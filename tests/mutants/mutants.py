@@ -48,6 +48,20 @@ MUTANTS = (
         quick=False,
     ),
     Mutant(
+        "fusion_sfdia/kalman_banks/fusing_bank.py",
+        "np.sum((G @ W) * G, axis=-1) / count**2",
+        "np.sum((G @ W) * G, axis=-1) / count",
+        "tests/kalman_banks/test_fusing_bank_thresholds.py::test_adaptive_thresholds_are_in_units_of_the_root_mean_square_residual",
+        quick=False,
+    ),
+    Mutant(
+        "fusion_sfdia/filters/estimators.py",
+        "log = log - 0.5 * np.sum(whitened * whitened, axis=-2)",
+        "log = log - 1.0 * np.sum(whitened * whitened, axis=-2)",
+        "tests/kalman_banks/test_gaussian_particles.py::test_on_a_linear_plant_it_is_the_kalman_filter",
+        quick=False,
+    ),
+    Mutant(
         "fusion_sfdia/stochastic_thresholds/guarantees.py",
         "np.abs(accumulated(phi, lam)) / (2 * alpha * s)",
         "np.abs(accumulated(phi, lam)) / (alpha * s)",
