@@ -1,4 +1,4 @@
-"""The filters of the banks with one interface: start, predict, joint, assimilate.
+"""The filters of the banks with one interface: start, predict, joint, update, assimilate.
 
 A core is what a filter carries from step to step: a GaussianState for the extended, unscented and Gaussian particle filters,
 an EnsembleState for the ensemble filter. Predictions keep the plant's limits, see `guarded_steps`.
@@ -62,7 +62,8 @@ class Estimator(Protocol):
     """A Kalman filter as a bank needs it; rng serves those that draw random numbers.
 
     start: the core of a batch at the plant's x0. predict: over [t_start, t_start + dt] with input u. joint: of state and
-    readings at t. assimilate: the core after the readings y (NaN: not used) with noise covariance noise_gain R; its mean is
+    readings at t. update: mean and covariance after the readings y at t (NaN: not used), of this filter by itself. assimilate:
+    the core after the readings y (NaN: not used) with noise covariance noise_gain R; its mean is
     moved to x and its covariance scaled by cov_gain to p, the bank's results for it. consistent: whether S = H P H' + R and
     C = P H' hold in its joint Gaussian.
     """
@@ -72,6 +73,7 @@ class Estimator(Protocol):
     def start(self, plant: Plant, batch: tuple[int, ...], rng: np.random.Generator) -> Core: ...
     def predict(self, plant: Plant, core: Core, t_start: float, u: Array, dt: float, rng: np.random.Generator) -> Prior: ...
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint: ...
+    def update(self, plant: Plant, prior: Prior, t: float, y: Array, u: Array) -> GaussianState: ...
     def assimilate(
         self, plant: Plant, prior: Prior, reading: Reading, x: Array, p: Array, rng: np.random.Generator
     ) -> Core: ...
@@ -112,7 +114,15 @@ def require_none_considered(plant: Plant, what: str) -> None:
         )
 
 
-class _Moments:
+class Conditioned:
+    """Common to the filters whose update conditions the joint Gaussian of state and readings."""
+
+    def update(self: Estimator, plant: Plant, prior: Prior, t: float, y: Array, u: Array) -> GaussianState:
+        found = gaussian.condition(self.joint(plant, prior, t, u), y)
+        return GaussianState(found.x, found.P)
+
+
+class Moments:
     """Common to the filters that carry mean and covariance."""
 
     def start(self, plant: Plant, batch: tuple[int, ...], rng: np.random.Generator) -> Core:
@@ -124,7 +134,7 @@ class _Moments:
 
 
 @dataclass(frozen=True)
-class Extended(_Moments):
+class Extended(Conditioned, Moments):
     """The extended Kalman filter (Shaheen 2024, sec. III-C1); the linear one where the plant is linear."""
 
     consistent: bool = field(default=True, init=False, repr=False)
@@ -144,7 +154,7 @@ class Extended(_Moments):
 
 
 @dataclass(frozen=True)
-class Unscented(_Moments):
+class Unscented(Conditioned, Moments):
     """The unscented Kalman filter (Shaheen 2024, sec. III-C3).
 
     redraw: whether new sigma points are drawn from the predicted moments before the update, as in textbooks. Without it, the
@@ -184,7 +194,7 @@ class Unscented(_Moments):
 
 
 @dataclass(frozen=True)
-class Ensemble:
+class Ensemble(Conditioned):
     """The ensemble Kalman filter (Shaheen 2024, sec. III-C2), with S = H P H' + R for the printed sample covariance,
     which is singular for fewer members than readings.
     """
@@ -223,7 +233,7 @@ class Ensemble:
 
 
 @dataclass(frozen=True)
-class GaussianParticles(_Moments):
+class GaussianParticles(Moments):
     """The Gaussian particle filter (Kotecha and Djuric 2003), with the Kalman update of the moments as importance density
     (van der Merwe et al. 2000): from the prior, no particle would hit the readings of many sensors.
 
@@ -258,18 +268,24 @@ class GaussianParticles(_Moments):
         members = _drawn(x, p, prior.propagated)
         return enkf.joint(members, lambda s: readings_of_points(plant, t, s, u), plant.sensor_cov)._replace(x=x, P=p)
 
+    def update(self, plant: Plant, prior: Prior, t: float, y: Array, u: Array) -> GaussianState:
+        joint = self.joint(plant, prior, t, u)
+        found, reading = gaussian.condition(joint, y), Reading(t, y[..., None, :], u)
+        x, p = self.weighed(plant, [prior], joint, reading, found.x[..., None, :], found.P[..., None, :, :])
+        return GaussianState(x[..., 0, :], p[..., 0, :, :])
+
     def weighed(
-        self, plant: Plant, prior: list[Prior], joints: list[Joint], reading: Reading, x: Array, p: Array
+        self, plant: Plant, prior: list[Prior], joint: Joint, reading: Reading, x: Array, p: Array
     ) -> tuple[Array, Array]:
         """Return mean x (..., N, n) and covariance p (..., N, n, n) of N local filters from draws of the x and p given.
 
             X = x + L z,    L L' = p,    w ~ N(X; prior) prod_j N(y_j; h_j(X), R_j) / N(X; x, p)
 
-        prior, joints: of each filter, or one for all. reading: y (..., N, N), NaN where a filter does not use a reading.
+        prior: of each filter, or one for all. joint: of the first. reading: y (..., N, N), NaN where a filter does not use a reading.
         """
         x, p = np.array(x), np.array(p)
         for i in range(x.shape[-2]):
-            before, joint = prior[min(i, len(prior) - 1)], joints[min(i, len(joints) - 1)]
+            before = prior[min(i, len(prior) - 1)]
             z, (mean, cov) = before.propagated, before.core
             assert z is not None
             members = _drawn(x[..., i, :], p[..., i, :, :], z)

@@ -54,7 +54,6 @@ from fusion_sfdia.kalman_banks.leave_one_out import (
     local_covariances,
     local_estimates,
     normalised_innovation_squared,
-    posterior,
     statistics,
 )
 
@@ -76,8 +75,8 @@ class Mixed(NamedTuple):
 
 
 class Local(NamedTuple):
-    """The local filters after an update: the statistics of all readings in use, estimates x (..., N, n) and covariances
-    p (..., N, n, n), None where the mixture needs none.
+    """The local filters after an update: the statistics of all readings in use, from the prior of the first filter, estimates
+    x (..., N, n) and covariances p (..., N, n, n), None where the mixture needs none.
     """
 
     found: LeaveOneOut
@@ -201,12 +200,12 @@ class FusingBank(BatchDetector):
     def _judge(self, memory: Core, now: TimeStep, y: Array, u: Array) -> tuple[Core, Decision]:
         plant, scale = self.plant, np.asarray(self.residual_scale or self.plant.state_scale)
         prior = self._predict(memory, y.ndim - 1, now, u)
-        joints = [self.estimator.joint(plant, p, now.t, u) for p in prior]
-        y = plant.near(y, joints[0].y)
+        joint = self.estimator.joint(plant, prior[0], now.t, u)
+        y = plant.near(y, joint.y)
         used = np.isfinite(y)
-        local = self._update(prior, joints, now, y, used, u)
-        mixed = self._mix(joints, local, y)
-        seen, residual, distance = self._disagreement(now, joints, local.x, mixed.x, used, u, scale)
+        local = self._update(prior, joint, now, y, used, u)
+        mixed = self._mix(joint, local, y)
+        seen, residual, distance = self._disagreement(now, joint, local.x, mixed.x, used, u, scale)
         limits = np.inf if self.thresholds is None else self.threshold_scale * np.asarray(self.thresholds)
         if self.adaptive:
             limits = limits * expected_deviation(local.found, plant.sensor_cov)
@@ -217,14 +216,14 @@ class FusingBank(BatchDetector):
         kept = used & ~isolated
         if self.accommodate and np.any(isolated):
             mixed = (
-                self._without(mixed, joints, local.found, y, kept, suspect)
+                self._without(mixed, joint, local.found, y, kept, suspect)
                 if local.p is None
-                else self._mix(joints, self._update(prior, joints, now, y, kept, u), y)
+                else self._mix(joint, self._update(prior, joint, now, y, kept, u), y)
             )
         for _ in range(self.max_faults - 1 if np.any(isolated) else 0):
-            local = self._update(prior, joints, now, y, kept, u)
-            without = self._mix(joints, local, y)
-            _, further, distance = self._disagreement(now, joints, local.x, without.x, kept, u, scale)
+            local = self._update(prior, joint, now, y, kept, u)
+            without = self._mix(joint, local, y)
+            _, further, distance = self._disagreement(now, joint, local.x, without.x, kept, u, scale)
             alarm = isolated.any(axis=-1) & np.any(further > threshold, axis=-1)
             if not np.any(alarm):
                 break
@@ -232,7 +231,7 @@ class FusingBank(BatchDetector):
             isolated |= alarm[..., None] & kept & (np.arange(y.shape[-1]) == suspect[..., None])
             kept = used & ~isolated
             if self.accommodate:
-                mixed = self._mix(joints, self._update(prior, joints, now, y, kept, u), y)
+                mixed = self._mix(joint, self._update(prior, joint, now, y, kept, u), y)
         kept = kept if self.accommodate else used
         core = self._fed_back(prior, mixed, now, np.where(kept, y, np.nan), u)
         unseen = np.diagonal(seen, axis1=-2, axis2=-1)  # expected y_i of filter i, which does not use y_i
@@ -252,10 +251,10 @@ class FusingBank(BatchDetector):
         return core, decision
 
     def _disagreement(
-        self, now: TimeStep, joints: list[Joint], local: Array, x: Array, used: Array, u: Array, scale: Array
+        self, now: TimeStep, joint: Joint, local: Array, x: Array, used: Array, u: Array, scale: Array
     ) -> tuple[Array, Array, Array]:
         """What the local filters expect all sensors to read (..., N, N), the square root of (19), and (20) (..., N)."""
-        seen = self.plant.near(self.plant.output(now.t, local, u[..., None, :]), joints[0].y[..., None, :])
+        seen = self.plant.near(self.plant.output(now.t, local, u[..., None, :]), joint.y[..., None, :])
         variance, distance = disagreement(local, seen, x, scale)
         return seen, np.where(used, np.sqrt(variance), np.nan), distance
 
@@ -267,24 +266,20 @@ class FusingBank(BatchDetector):
         est, plant = self.estimator, self.plant
         return [est.predict(plant, c, now.t_start, u, now.dt, step_stream(now.seed, now.k)) for c in cores]
 
-    def _update(self, prior: list[Prior], joints: list[Joint], now: TimeStep, y: Array, used: Array, u: Array) -> Local:
+    def _update(self, prior: list[Prior], joint: Joint, now: TimeStep, y: Array, used: Array, u: Array) -> Local:
         """Step 2: the local filters after the readings in use."""
-        without_own = used[..., None, :] & ~np.eye(used.shape[-1], dtype=bool)
-        found, p = statistics(joints[0], y, used), None
+        found = statistics(joint, y, used)
         if self.runs_literally:
-            founds = [statistics(joint, y, without_own[..., i, :]) for i, joint in enumerate(joints)]
-            each = [posterior(joint, one) for joint, one in zip(joints, founds, strict=True)]
-            x, p = np.stack([m for m, _ in each], axis=-2), np.stack([c for _, c in each], axis=-3)
-        else:
-            x, gains = local_estimates(joints[0], found)
-        if isinstance(self.estimator, GaussianParticles):
-            if p is None:
-                p = local_covariances(joints[0], found, gains)
-            reading = Reading(now.t, np.where(without_own, y[..., None, :], np.nan), u)
-            x, p = self.estimator.weighed(self.plant, prior, joints, reading, x, p)
-        return Local(found, x, p)
+            own = without_own(y, used)
+            each = [self.estimator.update(self.plant, one, now.t, own[..., i, :], u) for i, one in enumerate(prior)]
+            return Local(found, np.stack([x for x, _ in each], axis=-2), np.stack([p for _, p in each], axis=-3))
+        x, gains = local_estimates(joint, found)
+        if not isinstance(self.estimator, GaussianParticles):
+            return Local(found, x, None)
+        p, reading = local_covariances(joint, found, gains), Reading(now.t, without_own(y, used), u)
+        return Local(found, *self.estimator.weighed(self.plant, prior, joint, reading, x, p))
 
-    def _mix(self, joints: list[Joint], local: Local, y: Array) -> Mixed:
+    def _mix(self, joint: Joint, local: Local, y: Array) -> Mixed:
         """Step 3: mixture."""
         plant, central = self.plant, None
         if local.p is not None:
@@ -292,24 +287,24 @@ class FusingBank(BatchDetector):
             sound = np.all(np.isfinite(local.p), axis=(-3, -2, -1), keepdims=True)
             x, p = mixing.mix(local.x, np.where(sound, local.p, np.diag(plant.state_scale**2)), plant.state_scale)
         elif self.estimator.consistent:
-            x, p, central = mixing.mixture(joints[0], y, local.found.used, plant.sensor_cov)
+            x, p, central = mixing.mixture(joint, y, local.found.used, plant.sensor_cov)
         else:
-            x, p = mixing.mixture_of_any_joint(joints[0], local.found)
-        return Mixed(x, p, normalised_innovation_squared(joints[0], local.found, y), central)
+            x, p = mixing.mixture_of_any_joint(joint, local.found)
+        return Mixed(x, p, normalised_innovation_squared(joint, local.found, y), central)
 
-    def _without(self, mixed: Mixed, joints: list[Joint], found: LeaveOneOut, y: Array, kept: Array, suspect: Array) -> Mixed:
+    def _without(self, mixed: Mixed, joint: Joint, found: LeaveOneOut, y: Array, kept: Array, suspect: Array) -> Mixed:
         """The mixture of the readings `kept` (..., N): again where the suspect (...) is not among them, as it was elsewhere."""
         at = np.any(found.used & ~kept, axis=-1)
-        x, P, expected, S, C = (a[at] for a in joints[0][:5])
-        joint = Joint(x, P, expected, S, C)
+        x, P, expected, S, C = (a[at] for a in joint[:5])
+        there = Joint(x, P, expected, S, C)
         few = LeaveOneOut(found.whitened[at], found.weight[at], found.inverse[at], found.used[at], None, None)
         few = eliminate(few, suspect[at], np.ones(len(x), bool))
         if (central := mixed.central) is None:
-            x, p = mixing.mixture_of_any_joint(joint, few)
+            x, p = mixing.mixture_of_any_joint(there, few)
         else:
             one = replace(central, **{name: getattr(central, name)[at] for name in ("whitened", "weight", "half")})
             x, p = mixing.mixture_without(suspect[at], mixed.x[at], mixed.p[at], one, C)
-        nis = normalised_innovation_squared(joint, few, y[at])
+        nis = normalised_innovation_squared(there, few, y[at])
         return Mixed(_with(mixed.x, at, x), _with(mixed.p, at, p), _with(mixed.nis, at, nis))
 
     def _fed_back(self, priors: list[Prior], mixed: Mixed, now: TimeStep, y: Array, u: Array) -> Core:
@@ -329,6 +324,11 @@ class FusingBank(BatchDetector):
             for prior, c in zip(priors, factor, strict=False)
         ]
         return mapped(lambda *each: np.stack(each, axis=y.ndim - 1), *cores) if self.runs_literally else cores[0]
+
+
+def without_own(y: Array, used: Array) -> Array:
+    """The readings of N local filters (..., N, N): those of y (..., N) that are `used`, NaN for the others and its own sensor."""
+    return np.where(used[..., None, :] & ~np.eye(used.shape[-1], dtype=bool), y[..., None, :], np.nan)
 
 
 def expected_deviation(found: LeaveOneOut, R: Array) -> Array:

@@ -9,14 +9,14 @@ import numpy as np
 from fusion_sfdia.core.arguments import Array, whole
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters import gaussian
-from fusion_sfdia.filters.estimators import Core, GaussianState, Prior, Reading
+from fusion_sfdia.filters.estimators import Conditioned, Core, GaussianState, Moments, Prior
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.filters.guarded_steps import guarded_points, readings_of_points
 from fusion_sfdia.filters.sums import symmetric_sum
 
 
 @dataclass(frozen=True)
-class MonteCarlo:
+class MonteCarlo(Conditioned, Moments):
     """Mean and covariance of `draws` Gaussian points; a standard deviation has a relative error of about 1 / sqrt(2 draws).
 
     The draws of a step depend on seed and time, and are the same for all runs of a batch.
@@ -30,11 +30,6 @@ class MonteCarlo:
     @property
     def consistent(self) -> bool:
         return True
-
-    def start(self, plant: Plant, batch: tuple[int, ...], rng: np.random.Generator) -> Core:
-        n = plant.x0.size
-        p = np.broadcast_to(gaussian.dense(plant.initial_cov), (*batch, n, n))
-        return GaussianState(np.broadcast_to(plant.x0, (*batch, n)).copy(), p.copy())
 
     def predict(self, plant: Plant, core: Core, t_start: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
         start, moved = plant.guard(core.x)
@@ -52,9 +47,6 @@ class MonteCarlo:
         mean, spread = _centred(readings_of_points(plant, t, points, u))
         S = symmetric_sum(np.swapaxes(spread, -1, -2) @ spread, plant.sensor_cov)
         return Joint(x, p, mean, S, np.swapaxes(_centred(points)[1], -1, -2) @ spread)
-
-    def assimilate(self, plant: Plant, prior: Prior, reading: Reading, x: Array, p: Array, rng: np.random.Generator) -> Core:
-        return GaussianState(x, p)
 
     def _points(self, x: Array, p: Array, normal: Array) -> Array:
         points: Array = x[..., None, :] + normal @ np.swapaxes(gaussian.square_root(p), -1, -2)

@@ -75,8 +75,8 @@ def _local(bank: FusingBank, y: Array) -> Local:
     """The local filters of a bank after its first readings y (N,) of a plant without inputs."""
     now, u = TimeStep(0.0, 1.0, 1.0, seed=2, k=1), np.zeros((1, 0))
     prior = bank._predict(bank.init((1,), seed=2).memory, 1, now, u)
-    joints = [bank.estimator.joint(bank.plant, prior[0], 1.0, u)]
-    return bank._update(prior, joints, now, y[None], np.ones((1, y.size), bool), u)
+    joint = bank.estimator.joint(bank.plant, prior[0], 1.0, u)
+    return bank._update(prior, joint, now, y[None], np.ones((1, y.size), bool), u)
 
 
 def test_a_run_of_a_batch_has_the_bits_that_it_has_alone_and_its_seed_decides_them() -> None:

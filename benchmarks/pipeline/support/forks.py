@@ -13,7 +13,7 @@ from fusion_sfdia.core.detector import Decision, Detector, chosen, stack
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.state import chosen_runs
 from fusion_sfdia.evaluation.trials import Faulted
-from fusion_sfdia.filters.estimators import Core, Ensemble, Prior, Reading
+from fusion_sfdia.filters.estimators import Core, Ensemble, GaussianState, Prior, Reading
 from fusion_sfdia.filters.gaussian import Joint
 
 Array = NDArray[Any]
@@ -77,6 +77,9 @@ class _EnsembleOfRuns:
 
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint:
         return self.ensemble.joint(plant, prior, t, u)
+
+    def update(self, plant: Plant, prior: Prior, t: float, y: Array, u: Array) -> GaussianState:
+        return self.ensemble.update(plant, prior, t, y, u)
 
     def assimilate(self, plant: Plant, prior: Prior, reading: Reading, x: Array, p: Array, rng: np.random.Generator) -> Core:
         return self.ensemble.assimilate(plant, prior, reading, x, p, cast(Any, _Draws(rng, self.count, self.runs)))
