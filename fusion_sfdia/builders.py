@@ -82,6 +82,17 @@ def fusing_bank(
     return bank.fit_thresholds(healthy, false_alarm, WARM_UP)
 
 
+def filterpy_bank(plant: Plant, kind: str, healthy: Any = None, false_alarm: float = FALSE_ALARM) -> FusingBank:
+    """`printed_bank` "ekf" or "ukf" of filterpy's filters, run one by one.
+
+    Its thresholds are those of our filters, which a test holds equal: fitting them with filterpy's takes hours on the pipeline.
+    """
+    from fusion_sfdia.filters.filterpy_estimators import FilterpyExtended, FilterpyUnscented
+
+    filters: dict[str, Estimator] = {"ekf": FilterpyExtended(), "ukf": FilterpyUnscented(redraw=False)}
+    return replace(printed_bank(plant, kind, healthy, false_alarm), estimator=filters[kind], literal=True)
+
+
 def healthy_data(plant: Plant, false_alarm: float = FALSE_ALARM, checks: int = 2) -> Recording:
     """Simulated healthy readings y (K, B, N) of the plant, enough for `checks` limits of each quantity at that rate.
 

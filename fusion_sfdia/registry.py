@@ -67,7 +67,8 @@ class NamedDetector(NamedTuple):
     whether build also takes `healthy` (readings, None for simulated ones) and `false_alarm` (a rate), as `named.fit` does.
     tests_process: whether it also tells faults of the process or errors of the model from those of sensors. most_faults: how
     many sensors it isolates at once at most on any plant; None where only the plant limits it. commissions: whether it
-    commissions the plant by itself from the log of the real one; comparisons include it only where it is named.
+    commissions the plant by itself from the log of the real one. reference: whether it only repeats another detector by other
+    code, slowly, to check it. Comparisons include one that commissions, or a reference, only where it is named.
     """
 
     name: str
@@ -79,6 +80,7 @@ class NamedDetector(NamedTuple):
     tests_process: bool = False
     most_faults: int | None = None
     commissions: bool = False
+    reference: bool = False
 
     @property
     def package(self) -> str:
@@ -120,6 +122,7 @@ def register_detector(
     tests_process: bool = False,
     most_faults: int | None = None,
     commissions: bool = False,
+    reference: bool = False,
     **settings: Any,
 ) -> Callable[[M], M]: ...
 @overload
@@ -133,6 +136,7 @@ def register_detector(
     tests_process: bool = False,
     most_faults: int | None = None,
     commissions: bool = False,
+    reference: bool = False,
     **settings: Any,
 ) -> M: ...
 def register_detector(
@@ -145,22 +149,23 @@ def register_detector(
     tests_process: bool = False,
     most_faults: int | None = None,
     commissions: bool = False,
+    reference: bool = False,
     **settings: Any,
 ) -> Any:
     """Register a detector: as a call with `build`, or as a decorator of a class or function.
 
     build(plant, **settings) returns the detector with its usual settings: its class, a function, or lazily the
     "module:attribute" of one. Returns `build`. See NamedDetector for `memory`, `learns`, `tests_process`, `most_faults`,
-    `commissions`.
+    `commissions`, `reference`.
     ValueError for a name of another form than "kf-chi2" or "chebyshev:paper", and for one that is already registered.
     """
     if build is None:
         given: dict[str, Any] = {"memory": memory, "learns": learns, "tests_process": tests_process}
-        given |= {"most_faults": most_faults, "commissions": commissions}
+        given |= {"most_faults": most_faults, "commissions": commissions, "reference": reference}
         return partial(register_detector, name, about, **given, **settings)
     made = partial(deferred(build), **settings) if settings else deferred(build)
-    entry = NamedDetector(name, about, made, memory, source_of(build), learns, tests_process, most_faults, commissions)
-    enter(_DETECTORS, "detector", entry)
+    kinds = learns, tests_process, most_faults, commissions, reference
+    enter(_DETECTORS, "detector", NamedDetector(name, about, made, memory, source_of(build), *kinds))
     return build
 
 
@@ -181,7 +186,7 @@ def detectors() -> dict[str, NamedDetector]:
 
 def compared_detectors() -> dict[str, NamedDetector]:
     """Those that a comparison of all detectors includes."""
-    return {name: entry for name, entry in detectors().items() if not entry.commissions}
+    return {name: entry for name, entry in detectors().items() if not (entry.commissions or entry.reference)}
 
 
 def find_plant(what: str | Plant | Callable[[], Plant] | NamedPlant) -> NamedPlant:

@@ -38,14 +38,16 @@ def _list(chosen: argparse.Namespace) -> int:
             package = entry.get("package", registry.OURS)
             origin = "" if package == registry.OURS else f" (from {package})"
             also = " [tests the process, too]" if entry.get("tests") == BOTH else ""
+            slow = " [slow reference]" if entry.get("reference") else ""
             limit = f" [at most {most} sensor{'s' * (most != '1')} at once]" if (most := entry.get("at_once")) else ""
-            print(f"  {entry['name']:<{width}}  {entry['about']}{also}{limit}{origin}".rstrip())
+            print(f"  {entry['name']:<{width}}  {entry['about']}{also}{limit}{slow}{origin}".rstrip())
     return 0
 
 
 def entries(kind: str) -> list[dict[str, str]]:
-    """Name and description of all of a kind; of plants and detectors their package, of detectors what they test and how
-    many sensors they isolate at once at most ("": as many as the plant allows), of faults how each is used.
+    """Name and description of all of a kind; of plants and detectors their package, of detectors what they test, how
+    many sensors they isolate at once at most ("": as many as the plant allows) and whether they are a slow reference ("yes"
+    or ""), of faults how each is used.
     """
     match kind:
         case "plants":
@@ -58,6 +60,7 @@ def entries(kind: str) -> list[dict[str, str]]:
                     "package": e.package,
                     "tests": BOTH if e.tests_process else "sensors",
                     "at_once": "" if e.most_faults is None else str(e.most_faults),
+                    "reference": "yes" if e.reference else "",
                 }
                 for e in registry.detectors().values()
             ]
