@@ -19,10 +19,11 @@ from typing import Any
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 from numpy.typing import NDArray
+from scipy.linalg import cholesky
 
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters.estimators import Core, GaussianState, Moments, Prior
-from fusion_sfdia.filters.gaussian import Joint, dense
+from fusion_sfdia.filters.gaussian import Joint, dense, square_root
 from fusion_sfdia.filters.guarded_steps import (
     Stepped,
     guarded_points,
@@ -148,7 +149,7 @@ class FilterpyUnscented(_OneByOne):
         def one(index: tuple[int, ...]) -> tuple[Array, ...]:
             own = self._filter(n, 1, dt)
             own.fx = lambda points, dt: guarded_points(plant, t_start, points, u[index], dt)
-            own.x, own.P, own.Q = start[index], _finite(core.P[index]), Q
+            own.x, own.P, own.Q = start[index], core.P[index], Q
             own.predict()
             guarded[index] |= own.stepped.moved | own.stepped.stuck
             lost[index] = own.stepped.lost
@@ -173,8 +174,16 @@ class FilterpyUnscented(_OneByOne):
         return of
 
     def _filter(self, states: int, readings: int, dt: float) -> _Unscented:
-        points = MerweScaledSigmaPoints(states, self.points.alpha, self.points.beta, self.points.kappa)
+        points = MerweScaledSigmaPoints(states, self.points.alpha, self.points.beta, self.points.kappa, sqrt_method=_root)
         return _Unscented(states, readings, dt, None, None, points)
+
+
+def _root(P: Array) -> Array:
+    """U with U' U = P: SciPy's Cholesky factor, as in filterpy, and for a singular P, of states that are known, our root."""
+    try:
+        return np.asarray(cholesky(_finite(P)))
+    except np.linalg.LinAlgError:
+        return square_root(P).T
 
 
 def _finite(A: Array) -> Array:

@@ -27,7 +27,7 @@ from fusion_sfdia.structural_residuals.structural_residuals import StructuralRes
 PLANT = "two-tanks"
 RATE = 0.02
 STEPS, SETTLED = 80, 20
-LEARN = {f"fusing-{kind}" for kind in ("ekf", "ukf", "enkf")}
+LEARN = {f"fusing-{kind}" for kind in ("ekf", "ukf", "enkf")} | {"filterpy-ekf", "filterpy-ukf"}
 LEARN |= {"frozen-model", "limits", "limits-ewma", "pca", "dynamic-pca", "one-class", "structural-residuals"}
 every_detector = pytest.mark.parametrize("name", REGISTERED)
 

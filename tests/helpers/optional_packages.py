@@ -1,4 +1,4 @@
-"""The registered detectors as parameters of tests; one whose optional package is missing skips."""
+"""The registered detectors as parameters of tests; one whose optional package is missing skips, slow references are `slow`."""
 
 from __future__ import annotations
 
@@ -14,4 +14,7 @@ needs_toolbox = pytest.mark.skipif(
     find_spec("faultdiagnosistoolbox") is None, reason="structural residuals need faultdiagnosistoolbox"
 )
 STRUCTURAL = pytest.param(NAME, marks=needs_toolbox)
-REGISTERED = [STRUCTURAL if name == NAME else name for name in registry.detectors()]
+REGISTERED = [
+    STRUCTURAL if name == NAME else pytest.param(name, marks=pytest.mark.slow) if entry.reference else name
+    for name, entry in registry.detectors().items()
+]
