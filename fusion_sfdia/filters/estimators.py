@@ -281,7 +281,8 @@ class GaussianParticles(Moments):
 
             X = x + L z,    L L' = p,    w ~ N(X; prior) prod_j N(y_j; h_j(X), R_j) / N(X; x, p)
 
-        prior: of each filter, or one for all. joint: of the first. reading: y (..., N, N), NaN where a filter does not use a reading.
+        prior: of each filter, or one for all. joint: of the first. reading: y (..., N, N), NaN where a filter does
+        not use a reading.
         """
         x, p = np.array(x), np.array(p)
         for i in range(x.shape[-2]):

@@ -92,8 +92,8 @@ class FusingBank(BatchDetector):
     beta: the information distribution factors (N,), which sum to 1;
     None for 1/N each. feedback: "federated" or "printed", of the covariance of the mixture. The covariance of a Decision is
     N P_m with the first, P_m with the second.
-    literal: run N filters one by one; otherwise the algebra of `leave_one_out` and `mixing` gives the same numbers at the cost
-    of one filter (equal beta only: unequal beta always runs literally).
+    literal: run N filters one by one, as those of `filterpy_estimators` are meant to; otherwise the algebra of `leave_one_out`
+    and `mixing` gives the same numbers at the cost of one filter (equal beta only: unequal beta always runs literally).
     thresholds: (N,) on the square root of the state variance (19) of each sensor, in sensor units. The paper gives no values:
     set them with `fit` or `fit_thresholds`. Without them no alarm is raised, and `init` warns; (inf,) * N states that this is
     intended.
@@ -327,7 +327,7 @@ class FusingBank(BatchDetector):
 
 
 def without_own(y: Array, used: Array) -> Array:
-    """The readings of N local filters (..., N, N): those of y (..., N) that are `used`, NaN for the others and its own sensor."""
+    """The readings of N local filters (..., N, N): those of y (..., N) that are `used`, NaN for the others and its own."""
     return np.where(used[..., None, :] & ~np.eye(used.shape[-1], dtype=bool), y[..., None, :], np.nan)
 
 

@@ -84,6 +84,13 @@ def test_the_list_states_how_many_sensors_a_detector_isolates_at_once(capsys: py
     assert not re.search(r"^  (loo-glr|limits) .*at once", out, re.MULTILINE)
 
 
+def test_the_list_marks_slow_references(capsys: pytest.CaptureFixture[str]) -> None:
+    _, out, _ = call(capsys, "list", "detectors")
+    marked = re.findall(r"^  (\S+) .* \[slow reference\]$", out, re.MULTILINE)
+    listed = json.loads(call(capsys, "list", "detectors", "--json")[1])["detectors"]
+    assert marked == [e["name"] for e in listed if e["reference"] == "yes"] == ["filterpy-ekf", "filterpy-ukf"]
+
+
 def test_run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     once = ("run", "toy/*", "--seeds", "2", "--workers", "1", "--set", "size=5", "--set", "figure=no")
     code, out, err = call(capsys, *once, "--json")

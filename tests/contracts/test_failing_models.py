@@ -15,6 +15,7 @@ from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.evaluation.trials import decide, faulted, outcome
 from fusion_sfdia.filters.enkf import EnKFSettings
 from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, GaussianParticles, Unscented
+from fusion_sfdia.filters.filterpy_estimators import FilterpyExtended, FilterpyUnscented
 from fusion_sfdia.filters.guarded_steps import guarded_points
 from fusion_sfdia.filters.ukf import SigmaPoints
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
@@ -38,6 +39,8 @@ DETECTORS: dict[str, Detector] = {
     "fusing-enkf": FusingBank(PLANT, Ensemble(), thresholds=LEVELS),
     "fusing-literal-ekf": FusingBank(PLANT, Extended(), thresholds=LEVELS, literal=True),
     "fusing-literal-enkf": FusingBank(PLANT, ROOT, thresholds=LEVELS, literal=True),
+    "fusing-filterpy-ekf": FusingBank(PLANT, FilterpyExtended(), thresholds=LEVELS, literal=True),
+    "fusing-filterpy-ukf": FusingBank(PLANT, FilterpyUnscented(), thresholds=LEVELS, literal=True),
     "fusing-particles": FusingBank(PLANT, GaussianParticles(50), thresholds=LEVELS, adaptive=True),
     "particles": ParticleFilter(PLANT, size=200),
     "process-bank": ProcessBank(PLANT, window=5, doubt=(2, 9**9), between=(0, 5)),

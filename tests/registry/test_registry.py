@@ -69,6 +69,18 @@ def test_a_call_and_a_decorator_register() -> None:
     assert list(registry.detectors())[-2:] == ["mine:lazy", "mine"]  # the code of the first is our own
 
 
+def test_a_comparison_of_all_leaves_out_slow_references_and_what_commissions_the_plant() -> None:
+    named = {name for name, entry in registry.detectors().items() if entry.reference}
+    assert named == {"filterpy-ekf", "filterpy-ukf"}
+    assert registry.detectors().keys() - registry.compared_detectors().keys() == {"frozen-model", *named}
+
+    @registry.register_detector("slow", "a slow one", reference=True)
+    class Slow(CentralFilter):
+        pass
+
+    assert registry.detectors()["slow"].reference and "slow" not in registry.compared_detectors()
+
+
 def test_a_name_is_registered_again_by_its_own_source_alone() -> None:
     registry.register_plant("chain", "before", "toy_plants:chain")
     registry.register_plant("chain", "after", "toy_plants:chain")
