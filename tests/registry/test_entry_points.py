@@ -67,7 +67,7 @@ def test_they_are_listed_with_their_package(install, capsys: pytest.CaptureFixtu
     assert main(["list", "detectors", "--json"]) == 0
     theirs = json.loads(capsys.readouterr().out)["detectors"][-1]
     about = {"name": "their-test", "about": "a test of another package", "package": "their_package"}
-    assert theirs == about | {"tests": "sensors", "at_once": ""}
+    assert theirs == about | {"tests": "sensors", "at_once": "", "reference": ""}
     assert registry.detectors()["their-test"].memory == "none"
 
 
