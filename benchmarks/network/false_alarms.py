@@ -20,7 +20,7 @@ from fusion_sfdia.benchmarks.network.support.claims import (
     RULES_SHOWN,
     SINGLE,
     Counted,
-    claimed_bounds,
+    published_claim,
 )
 from fusion_sfdia.benchmarks.network.support.false_alarm_figures import (
     WHO,
@@ -184,7 +184,7 @@ def false_alarm_summary(settings: Settings, results: list[tuple[Task, Arrays]]) 
     figures = [groups_figure(rates), claims_figure(rates, settings["laws"]), consecutive_figure(rates)]
     sentences = remarks(rates)
     return Summary(
-        [*claimed_bounds(NAME, CONSECUTIVE_ALARMS), *rates.values()],
+        list(rates.values()),
         figures,
         tables(rates, settings["laws"]),
         sentences[:1],
@@ -194,7 +194,9 @@ def false_alarm_summary(settings: Settings, results: list[tuple[Task, Arrays]]) 
 
 def _add(rates: dict[Counted, Row], found: Mapping[Counted, Estimate]) -> None:
     for key, rate in found.items():
-        rates[key] = row(NAME, key.detector, "none", key.quantity, key.metric, rate, condition=key.condition)
+        rates[key] = row(
+            NAME, key.detector, "none", key.quantity, key.metric, rate, published_claim(key), condition=key.condition
+        )
 
 
 def _single(detector: str, noise: str, law: str, of: Arrays) -> dict[Counted, Estimate]:

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from fusion_sfdia.evaluation.results import Row, read_rows, rounded, write_rows
+from fusion_sfdia.evaluation.results import AT_MOST, Row, read_rows, rounded, write_rows
 from fusion_sfdia.report.figure_files import figure_svg
 
 HERE = Path(__file__).parent
@@ -76,7 +76,7 @@ def _near(value: float, published: float) -> bool:
 def _meets(row: Row, published: float) -> bool:
     """Whether the published value is within our interval, which counts only where ours is near; or equal to three digits."""
     close = isfinite(row.value) and abs(row.value - published) <= 5e-3 * abs(published)
-    return close or (bool(row.agrees) and _near(row.value, published))
+    return close or (bool(row.agrees) and (row.source.endswith(AT_MOST) or _near(row.value, published)))
 
 
 def paper_of(source: str) -> str:
@@ -145,8 +145,9 @@ def render(values: Sequence[Value]) -> str:
         fill(
             "Each number that one of the five papers states for something that a scenario measures, with ours beside it, from "
             "`fusion-sfdia papers`, in brackets the 95 % interval. Met: within it and, as a wide interval proves nothing, ours "
-            "within a factor 2 of it; or equal to three digits. A miss has its reason, or is unexplained. What else the papers "
-            "print wrongly: [misprints](../explanations/misprints.md).",
+            "within a factor 2 of it; or equal to three digits; an upper bound, where ours is not shown to exceed it. A miss has "
+            "its reason, or is unexplained. What else the papers print wrongly: [misprints](../explanations/misprints.md); every "
+            "equation, figure and claim: [items](paper-items.md).",
             WIDTH,
         ),
         table(

@@ -22,9 +22,14 @@ NAMES = COLUMNS[: COLUMNS.index("value")]
 NUMBERS = ("value", "low", "high", "published")
 
 
+AT_MOST = ", at most"  # ends the source of a published upper bound
+
+
 @dataclass(frozen=True)
 class Published:
-    """A number as its authors state it, in the unit of the row that it is compared with; source names paper, table and page."""
+    """A number as its authors state it, in the unit of the row that it is compared with; source names paper, table and page,
+    and ends with `AT_MOST` where they state an upper bound.
+    """
 
     value: float
     source: str
@@ -78,9 +83,13 @@ class Row:
 
     @property
     def agrees(self) -> bool | None:
-        """Whether the published value is within the interval; None where there is no published value or no interval."""
+        """Whether the published value is within the interval, or, as an upper bound, not below it; None where there is no
+        published value or no interval.
+        """
         if self.published is None or not (math.isfinite(self.low) and math.isfinite(self.high)):
             return None
+        if self.source.endswith(AT_MOST):
+            return self.low <= self.published
         return self.low <= self.published <= self.high
 
 

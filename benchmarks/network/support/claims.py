@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from itertools import product
+from collections.abc import Mapping
 from typing import NamedTuple
 
-from fusion_sfdia.benchmarks.network.support.residuals import B18, PAPER
-from fusion_sfdia.benchmarks.network.support.rows import row
-from fusion_sfdia.evaluation.metrics import NOTHING
-from fusion_sfdia.evaluation.results import Published, Row
+from fusion_sfdia.benchmarks.network.support.residuals import B18
+from fusion_sfdia.evaluation.results import AT_MOST, Published, Row
 from fusion_sfdia.stochastic_thresholds.threshold_rules import CONFORMAL
 
 ALPHAS = (2.0, 5.0, 10.0)
@@ -66,14 +63,11 @@ def claim(alpha: float, q: int = 1) -> float:
     return float(alpha ** (-2.0 * q))
 
 
-def claimed_bounds(scenario: str, consecutive: Iterable[int]) -> list[Row]:
-    """The probabilities that B18 claims are never exceeded, for each alpha and number of consecutive alarms."""
-    rows = []
-    for alpha, q in product(ALPHAS, consecutive):
-        stated = Published(claim(alpha, q), f"{B18}, " + ("(12)" if q == 1 else "Proposition 5"))
-        bound, condition = NOTHING._replace(value=stated.value), f"{q} consecutive, alpha {alpha:g}"
-        rows.append(row(scenario, PAPER.name, "none", "all", "false_alarm_bound", bound, stated, condition=condition))
-    return rows
+def published_claim(of: Counted) -> Published | None:
+    """B18's bound for consecutive alarms, for Gaussian noise and for the shocks that cross most of the bounds."""
+    if of.metric != CONSECUTIVE or of.law not in ("gaussian", ONE_SHOCK):
+        return None
+    return Published(of.claim, f"{B18}, " + ("(12)" if of.q == 1 else "Proposition 5") + AT_MOST)
 
 
 def claim_kept(found: Row, allowed: float) -> str:
