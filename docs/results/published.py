@@ -145,9 +145,9 @@ def render(values: Sequence[Value]) -> str:
         fill(
             "Each number that one of the five papers states for something that a scenario measures, with ours beside it, from "
             "`fusion-sfdia papers`, in brackets the 95 % interval. Met: within it and, as a wide interval proves nothing, ours "
-            "within a factor 2 of it; or equal to three digits; an upper bound, where ours is not shown to exceed it. A miss has "
-            "its reason, or is unexplained. What else the papers print wrongly: [misprints](../explanations/misprints.md); every "
-            "equation, figure and claim: [items](paper-items.md).",
+            "within a factor 2 of it; or equal to three digits; an upper bound, where ours is not shown to exceed it. A miss "
+            "has its reason, or is unexplained. What else the papers print wrongly: [misprints](../explanations/misprints.md); "
+            "every equation, figure and claim: [items](paper-items.md).",
             WIDTH,
         ),
         table(

@@ -92,3 +92,26 @@ def test_the_page_of_published_numbers_is_that_of_its_numbers(folder: Path, monk
         for name in v.met_by:
             own = v.ours[name]
             assert own.value == pytest.approx(v.published, rel=5e-3) or (own.low <= v.published <= own.high and v.near)
+
+
+def test_every_item_of_the_papers_leads_to_code_and_tests(root: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every equation and published number is an item; what is said to be done has code, and a test or numbers that show it."""
+    monkeypatch.syspath_prepend(str(folder))
+    items, published = importlib.import_module("paper_items"), importlib.import_module("published")
+    papers = items.load()
+    assert items.render(papers) == items.PAGE.read_text(encoding="utf-8"), "run docs/results/paper_items.py"
+    sources = {row.source for row in published.read_rows(published.NUMBERS)}
+    assert {source for paper in papers for one in paper.items for source in one.numbers} == sources
+    text: dict[str, str] = {}
+    for paper in papers:
+        assert set(range(1, paper.equations + 1)) <= items.numbered(paper.items), paper.key
+        for one in paper.items:
+            assert one.kind in items.KINDS and one.outcome in items.OUTCOMES, one
+            assert one.note or one.outcome in items.SAID, one
+            assert one.test or one.numbers or one.outcome not in ("as printed", "met", "corrected"), one
+            for place in (*one.code, *one.test):
+                path, _, name = place.partition(":")
+                found = text.setdefault(path, (root / path).read_text(encoding="utf-8"))
+                assert re.search(
+                    rf"(def|class) {name.rpartition('.')[2]}\b|^\s*{name.rpartition('.')[2]}\b.*[=:]", found, re.MULTILINE
+                ), one
