@@ -45,3 +45,12 @@ def test_an_area_is_unplugged_at_the_step_after_its_detection() -> None:
     assert np.array_equal(kept["angles"][50], gone["angles"][50])  # the step from 49 s on was joined still
     assert not np.array_equal(kept["angles"][51], gone["angles"][51])
     assert np.all(np.abs(gone["residual"][51:]) < 3 * ALPHA * gone["deviation"][51:])  # of its model alone; 6 deviations
+
+
+def test_unplugging_the_faulty_area_keeps_its_neighbours_angles_smaller() -> None:
+    """B18, sec. VIII-A: in each of 6 runs, from 70 s on, the angles of areas 3, 5 and 13 together."""
+    one = scenario("network/governor")
+    task = one.tasks({**one.settings, "noises": ("small",), "modes": ("corrected",)}, 6)[0]
+    found, next_to_it = one.work(task), [network_model().network.topology.index(a) for a in ("3", "5", "13")]
+    kept, gone = (np.sum(np.square(found[name][:, next_to_it]), axis=-1) for name in ("angle", "unplugged_angle"))
+    assert np.all(gone < kept)
