@@ -28,7 +28,7 @@ from pathlib import Path
 from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, overload
 
-from fusion_sfdia.core.entries import deferred, enter, itself, package_of, take_up
+from fusion_sfdia.core.entries import deferred, enter, itself, package_of, register_entry_point
 from fusion_sfdia.core.references import did_you_mean, first_line, is_reference, load, name_of, require_call, source_of
 
 if TYPE_CHECKING:
@@ -288,7 +288,7 @@ def _own_detectors() -> dict[str, NamedDetector]:
 
 def _with_entry_points(kind: str, known: dict[str, Any], entry: Callable[..., Any]) -> dict[str, Any]:
     for point in entry_points(group=f"fusion_sfdia.{kind}s"):
-        take_up(point, known, kind, entry)
+        register_entry_point(point, known, kind, entry)
     return known
 
 

@@ -133,10 +133,10 @@ def broken_claims(cells: Sequence[ComparisonCell]) -> list[str]:
     )
     every = sum(bool(np.isfinite(cell["claim"])) for cell in cells)
     repeated = f", {every - len(claimed)} more repeat another with the same scores" if every > len(claimed) else ""
-    more = f" Shown to exceed it, beyond the interval: {which}." if broken else ""
+    more = f" These exceed it: {which}." if broken else ""
     return [
-        f"False alarms at their own thresholds are not shown to exceed the claim in {len(claimed) - len(broken)} of "
-        f"{len(claimed)} distinct cells that claim a rate{repeated}.{more}"
+        f"At its own thresholds, {len(claimed) - len(broken)} of {len(claimed)} pairs of plant and detector that claim a rate "
+        f"of false alarms keep it within the interval{repeated}.{more}"
     ]
 
 

@@ -71,8 +71,8 @@ def walk(
 
     states: those of another walk along the trunk, with which trunk and branches begin; None to begin anew, and branches with
     the state of the walk itself, all in one batch, the trunk first. trunk: of its runs that are followed, by their numbers, the
-    samples with which they begin, None for all from the first one on; samples at which no run is under way are left out. Of
-    the runs that share most of their state (`alike`) those are stepped apart that have alarmed or missed a reading.
+    samples with which they begin, None for all from the first one on; samples at which no run is under way are left out. Runs
+    that share most of their state (`alike`) are stepped together until one has alarmed or missed a reading.
     """
     B, dt, never = recording.y.shape[1], detector.plant.dt, recording.t.size
     onset, length, number = (np.array([getattr(run, what) for run in found.runs], int) for what in ("onset", "length", "b"))

@@ -1,4 +1,4 @@
-"""Every time at once: what a model gives for it holds whenever, as a model that looks at the time fails."""
+"""A time that stands for all times: a model that reads it fails, so what a model returns for it holds at any time."""
 
 from __future__ import annotations
 

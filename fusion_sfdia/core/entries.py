@@ -26,7 +26,7 @@ def enter(known: dict[str, Any], kind: str, entry: Any) -> None:
     known[entry.name] = entry
 
 
-def take_up(point: EntryPoint, known: dict[str, Any], kind: str, entry: Callable[..., Any]) -> None:
+def register_entry_point(point: EntryPoint, known: dict[str, Any], kind: str, entry: Callable[..., Any]) -> None:
     """Register the object of an entry point, unless its package registers it itself, before or while it is loaded."""
 
     def registered() -> bool:

@@ -47,9 +47,9 @@ def compiled(function: F) -> F:
 
 
 def part(function: F) -> F:
-    """Mark a loop that stands in compiled loops of the same file: its statements become theirs before anything is compiled.
+    """Mark a loop that compiled loops of the same file contain: its statements are copied into them before they are compiled.
 
-    What is compiled by itself instead is optimised once more within each of its callers, which takes longer.
+    A loop compiled as a function of its own would be optimised again within each caller, which takes longer.
     """
     return njit(inline="always", error_model="numpy")(function)  # type: ignore[no-any-return]
 

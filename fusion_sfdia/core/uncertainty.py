@@ -130,7 +130,7 @@ class Uncertainty:
     inputs: standard deviation of the constant error of an input, by its name, in its unit.
     at_rest: whether x0 is a steady state under the usual input, which follows from the parameters and the inputs that act.
     changes: standard deviation from which the size of a later change is judged, by the name of a parameter or `error_of` an
-    input, where that is not its present one: a healthy log tells what a value is, not how far it may change.
+    input, where it differs from that of the present value: a healthy log shows a value, not how far it may change.
     disturbances: unknown signals. considered: names of states that a filter does not update, but whose uncertainty counts;
     `augment` adds those of this treatment. rebuild: the plant at other values, rebuild(**{parameter: value}), of any number of
     parameters; None where only step and output state them. Raises ValueError for what does not fit together.

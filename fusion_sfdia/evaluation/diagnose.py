@@ -60,7 +60,7 @@ class Diagnosis:
     In order of their start; of a detector that tests the process, too (`process_hypotheses`), its verdicts on the process
     come first, then what it cannot tell apart, then the sensors. clock: wall-clock times of the log. gaps: stretches without
     a row that the model was stepped through, or after which it started anew. health: whether the model fits; after: the
-    residuals behind that and behind kinds and sizes, both None where an own Diagnosis does not state them. limit: that fewer
+    residuals behind that and behind kinds and sizes, both None where a Diagnosis was built without them. limit: that fewer
     than half of the sensors can be isolated at once, and why; "" elsewhere. of_log: what is regular in the readings of some
     sensors and looks like a fault, in words.
     """

@@ -32,7 +32,7 @@ def beginning(
 
 
 def _forgets(model: Plant, steps: Steps, found: Hindsight) -> bool:
-    """Whether two filters, of which one begins a standard deviation away and less certain, come to the same in SHORTEST steps.
+    """Whether two filters, one of which starts a standard deviation away and less certain, agree after SHORTEST steps.
 
     They begin after the first reading. Not so for a model that depends on time, or has no finite value.
     """

@@ -19,7 +19,7 @@ FILTER, NO_DRAWS = Extended(), step_stream(0, 0)
 
 
 class Residuals(NamedTuple):
-    """Of each sample and sensor (K, N) the error and its sd, as a Hindsight has them."""
+    """Error and its standard deviation by sample and sensor (K, N), as in a Hindsight."""
 
     error: Array
     sd: Array

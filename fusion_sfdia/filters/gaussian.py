@@ -153,10 +153,10 @@ class Joint(NamedTuple):
 
 def gain(joint: Joint, inverse: Array) -> Array:
     """K = C S^-1 (..., n, N) with S^-1 over the readings used; rows of considered states are 0."""
-    return unmoved(joint, single(joint.C) @ single(inverse))
+    return without_considered(joint, single(joint.C) @ single(inverse))
 
 
-def unmoved(joint: Joint, K: Array) -> Array:
+def without_considered(joint: Joint, K: Array) -> Array:
     """The gain K (..., n, N) of the joint Gaussian with rows of 0 for considered states, which is written to."""
     if joint.considered is not None:
         K[..., joint.considered, :] = 0.0

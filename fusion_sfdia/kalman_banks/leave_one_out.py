@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.alike import repeated, single
 from fusion_sfdia.filters.factors import inverted, squares_of_rows
-from fusion_sfdia.filters.gaussian import Joint, consider, half_inverse, rounding, unmoved
+from fusion_sfdia.filters.gaussian import Joint, consider, half_inverse, rounding, without_considered
 from fusion_sfdia.filters.repeated import Repeated, mean_covariance, spread
 from fusion_sfdia.filters.sums import difference
 from fusion_sfdia.kalman_banks import bank_kernels
@@ -153,7 +153,7 @@ def posterior_and_gain(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array, 
         return _conditioned(joint, found)
     half = _half(joint, found)
     w = single(joint.C) @ half
-    return *_posterior(joint, found, w), unmoved(joint, w @ np.swapaxes(half, -1, -2))
+    return *_posterior(joint, found, w), without_considered(joint, w @ np.swapaxes(half, -1, -2))
 
 
 def _half(joint: Joint, found: LeaveOneOut) -> Array:
@@ -175,7 +175,7 @@ def _conditioned(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array, Array]
     x, p, K = bank_kernels.conditioned(x, whitened, C, half, inverse, P, rounding(joint))
     if len(batch) > 1:
         x, p, K = x.reshape(*batch, n), p.reshape(*batch, n, n), K.reshape(*batch, n, N)
-    return *consider(joint, x, repeated(p, x)), unmoved(joint, K)
+    return *consider(joint, x, repeated(p, x)), without_considered(joint, K)
 
 
 def _posterior(joint: Joint, found: LeaveOneOut, w: Array) -> tuple[Array, Array]:

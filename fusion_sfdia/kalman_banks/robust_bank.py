@@ -94,7 +94,7 @@ from fusion_sfdia.kalman_banks.reading_noise import (
     learnt,
     unclipped,
 )
-from fusion_sfdia.kalman_banks.robust_memory import RobustMemory, faded, leaves_unexplained, nothing_known
+from fusion_sfdia.kalman_banks.robust_memory import RobustMemory, empty_memory, faded, leaves_unexplained
 from fusion_sfdia.kalman_banks.standing import Standing, added_noise, followed, sizes, with_accepted
 from fusion_sfdia.kalman_banks.window_step import WindowStep, last_update, window_step
 
@@ -192,7 +192,7 @@ class RobustBank(ExcludingBank):
 
     def _start(self, batch: tuple[int, ...], seed: int) -> RobustMemory:
         of = self._hypotheses
-        return nothing_known(of, self.estimator.start(of.model, batch, step_stream(seed, 0)), batch, self._grids)
+        return empty_memory(of, self.estimator.start(of.model, batch, step_stream(seed, 0)), batch, self._grids)
 
     def _readmitted(self, memory: RobustMemory, t: float, which: Array) -> RobustMemory:
         used: RobustMemory = super()._readmitted(memory, t, which)

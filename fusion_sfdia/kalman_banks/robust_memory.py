@@ -53,7 +53,7 @@ class RobustMemory(NamedTuple):
     look: Look
 
 
-def nothing_known(of: Hypotheses, estimate: GaussianState, batch: tuple[int, ...], grids: tuple[Grid, Grid]) -> RobustMemory:
+def empty_memory(of: Hypotheses, estimate: GaussianState, batch: tuple[int, ...], grids: tuple[Grid, Grid]) -> RobustMemory:
     """The memory before any reading, of windows on these grids, the recent one first."""
     count, n, p, states = len(of.plant.sensors), len(of.plant.states), of.added, len(of.model.states)
     near, far = grids

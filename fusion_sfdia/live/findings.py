@@ -31,7 +31,7 @@ class Findings:
         self.look = SecondLook(detector, gap) if kinds else None
 
     def after(self, seen: Seen, decision: Decision, clock: Clock) -> list[Change]:
-        """What a row changes; seen: the row with its inputs, of which this takes out what the detector has found absurd."""
+        """What a row changes. seen: the row with its inputs; readings that the detector calls absurd are removed from it."""
         now = self.changes.after(seen.t, decision)
         if self.look is None:
             return now

@@ -14,7 +14,7 @@ MOST_KINDS = 1000
 
 @dataclass
 class Remarks:
-    """Says the first FIRST remarks of each kind, then each whose number is 100, 1000, ..., with the number.
+    """Passes on the first FIRST remarks of each kind, then the 100th, the 1000th and so on, with their number.
 
     Remarks are of one kind where they differ only in numbers, times and what is quoted.
     """
