@@ -396,7 +396,10 @@ def test_cells_that_repeat_count_once_among_the_claims() -> None:
     cells = list(cells_of(settings, results(settings, seeds=2)).values())
     assert [c.detector for c in distinct(cells)] == ["adaptive-threshold", "limits"]
     [claims] = broken_claims(cells)
-    assert "of 2 distinct cells that claim a rate, 1 more repeat another" in claims
+    assert (
+        "of 2 pairs of plant and detector that claim a rate of false alarms keep it within the interval, 1 more repeat another"
+        in claims
+    )
 
 
 def test_every_detector_sees_the_same_readings() -> None:
