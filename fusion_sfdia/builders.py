@@ -16,7 +16,9 @@ from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.detectors import FALSE_ALARM
 from fusion_sfdia.evaluation.simulate import Recording, simulate
+from fusion_sfdia.filters.enkf import EnKFSettings
 from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Unscented
+from fusion_sfdia.filters.ukf import SigmaPoints
 
 if TYPE_CHECKING:
     from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
@@ -40,7 +42,11 @@ PAPER_PROCESS = {
 }  # process noise over the sigma of the state's sensor: Shaheen 2024, sec. V, for its own plant
 PAPER_UNITS = {"Pa": 1e6}  # Shaheen 2024 computes in MPa, kg/s, K: its residual (20) adds these units
 
-PAPER_FILTERS: dict[str, Estimator] = {"ekf": Extended(), "ukf": Unscented(redraw=False), "enkf": Ensemble()}
+PAPER_FILTERS: dict[str, Estimator] = {  # Shaheen 2024, sec. V-A: alpha, beta and N_e
+    "ekf": Extended(),
+    "ukf": Unscented(SigmaPoints(alpha=1e-3, beta=2.0), redraw=False),
+    "enkf": Ensemble(EnKFSettings(size=40)),
+}
 
 
 def as_printed(plant: Plant) -> Plant:

@@ -16,6 +16,8 @@ Array = NDArray[Any]
 def disagreement(local: Array, seen: Array, mixed: Array, scale: Array) -> tuple[Array, Array]:
     """Return the variance (19) of each expected reading over the filters, and the distance (20) of each filter, (..., N).
 
+    Printed, (19) is of the states; the two are the same where every state has a sensor, as in the paper.
+
     local (..., N, n): estimates x_i of the filters; seen (..., N, N): readings that they expect, a row a filter;
     mixed (..., n): x_m; scale (n,), by which the states are divided:
 

@@ -6,13 +6,14 @@ distribution factors beta_i, sum beta_i = 1:
     printed     P_i = beta_i P_m,  Q_i = beta_i Q_m
     federated   P_i = P_m / beta_i,  Q_i = Q_m / beta_i           (Carlson 1990), the default
 
-Federated, sum P_i^-1 = P_m^-1: information is shared out and none invented, and Q_i = N Q_m = Q for equal beta, as it was. As
-printed the sum is N^2 P_m^-1 for beta = 1/N in each step, and Q falls as N^(-2k), so that the gain vanishes; with "printed" P
-is as printed and Q is reset in each step. Federated with equal beta and one kind of filter, x_m and N P_m are the mean and
-covariance of one filter with the noise R N / (N - 1), as each reading enters N - 1 of them.
+Federated, sum P_i^-1 = P_m^-1: information is shared out and none invented, and Q_i = Q / (N beta_i) from the first step on,
+since then Q_m = Q / N; for equal beta that is Q. As printed the sum is N^2 P_m^-1 for beta = 1/N in each step, and Q falls as
+N^(-2k), so that the gain vanishes; with "printed" P is as printed and Q is reset in each step. Federated with equal beta and
+one kind of filter, x_m and N P_m are the mean and covariance of one filter with the noise R N / (N - 1), as each reading enters
+N - 1 of them.
 
-Two more changes: the ensemble uses S = H P H' + R, and its feedback, which the paper does not specify, gives each local
-ensemble the mean and covariance of the mixture.
+Two more changes: the ensemble uses S = H P H' + R, and its feedback, which the paper does not specify, gives the local
+ensembles the mean and covariance of the mixture: one update with R N / (N - 1) of all, its spread scaled, for equal beta.
 
 The paper names three extensions as future work: several faults at once (`max_faults`), particle filters as local filters
 (`GaussianParticles`), and thresholds that adapt (`adaptive`, see `expected_deviation`).
@@ -22,6 +23,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -33,9 +35,11 @@ from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision, NotApplicableError, run
 from fusion_sfdia.core.health import broken
 from fusion_sfdia.core.order_statistics import order_statistic
+from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.state import State, mapped
 from fusion_sfdia.filters.estimators import (
     Core,
+    Ensemble,
     Estimator,
     GaussianParticles,
     Prior,
@@ -93,7 +97,8 @@ class FusingBank(BatchDetector):
     None for 1/N each. feedback: "federated" or "printed", of the covariance of the mixture. The covariance of a Decision is
     N P_m with the first, P_m with the second.
     literal: run N filters one by one, as those of `filterpy_estimators` are meant to; otherwise the algebra of `leave_one_out`
-    and `mixing` gives the same numbers at the cost of one filter (equal beta only: unequal beta always runs literally).
+    and `mixing` gives the same numbers at the cost of one filter (equal beta only: unequal beta always runs literally, and an
+    ensemble has none).
     thresholds: (N,) on the square root of the state variance (19) of each sensor, in sensor units. The paper gives no values:
     set them with `fit` or `fit_thresholds`. Without them no alarm is raised, and `init` warns; (inf,) * N states that this is
     intended.
@@ -140,12 +145,25 @@ class FusingBank(BatchDetector):
             object.__setattr__(self, what, tuple(values.tolist()))
         if self.beta is not None and not np.isclose(sum(self.beta), 1.0, rtol=1e-9):
             raise ValueError(f"beta sums to {sum(self.beta):.6g}; expected information distribution factors that sum to 1")
-        if self.adaptive and self.beta is not None and len(set(self.beta)) > 1:
-            raise ValueError("adaptive thresholds are for equal beta, with which all filters have one prior; give beta=None")
+        if self.beta is not None and len(set(self.beta)) > 1:
+            if self.adaptive:
+                raise ValueError(
+                    "adaptive thresholds are for equal beta, with which all filters have one prior; give beta=None"
+                )
+            if isinstance(self.estimator, Ensemble):
+                raise ValueError("an ensemble takes over the covariance of the mixture for equal beta only; give beta=None")
 
     @property
     def runs_literally(self) -> bool:
         return self.literal or (self.beta is not None and len(set(self.beta)) > 1)
+
+    @cached_property
+    def _plants(self) -> list[Plant]:
+        """The plant of each local filter, with its process noise Q_i."""
+        count = len(self.plant.sensors)
+        if self.beta is None or self.feedback == "printed":
+            return [self.plant] * count
+        return [replace(self.plant, process_cov=self.plant.process_cov / (count * b)) for b in self.beta]
 
     def init(self, batch: int | tuple[int, ...] = (), t: float = 0.0, seed: int = 0) -> State:
         """As of every detector; with a UserWarning where there are no thresholds."""
@@ -260,11 +278,14 @@ class FusingBank(BatchDetector):
 
     def _predict(self, core: Core, axis: int, now: TimeStep, u: Array) -> list[Prior]:
         """The prior of each local filter, or their common prior; axis: that of the filters in a literal core."""
-        cores = [core]
+        cores, plants = [core], [self.plant]
         if self.runs_literally:
             cores = [mapped(lambda a, i=i: np.take(a, i, axis=axis), core) for i in range(len(self.plant.sensors))]
-        est, plant = self.estimator, self.plant
-        return [est.predict(plant, c, now.t_start, u, now.dt, step_stream(now.seed, now.k)) for c in cores]
+            plants = self._plants
+        return [
+            self.estimator.predict(plant, c, now.t_start, u, now.dt, step_stream(now.seed, now.k))
+            for c, plant in zip(cores, plants, strict=True)
+        ]
 
     def _update(self, prior: list[Prior], joint: Joint, now: TimeStep, y: Array, used: Array, u: Array) -> Local:
         """Step 2: the local filters after the readings in use."""

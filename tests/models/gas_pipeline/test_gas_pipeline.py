@@ -13,10 +13,12 @@ import pytest
 from numpy.typing import NDArray
 from rounding import rounding
 
+from fusion_sfdia.builders import PAPER_FILTERS
 from fusion_sfdia.core.equation import complex_step_jacobian
 from fusion_sfdia.core.integration import runge_kutta_4
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import simulate
+from fusion_sfdia.filters.estimators import Ensemble, Unscented
 from fusion_sfdia.models.gas_pipeline import equations
 from fusion_sfdia.models.gas_pipeline.physics import (
     INLET_PRESSURE,
@@ -56,6 +58,15 @@ def rms(difference: Array) -> Array:
 
 
 # --- published values
+
+
+def test_the_pipe_the_noise_and_the_filters_are_the_papers() -> None:
+    """Shaheen 2024: Table II (the pipe), Table III (noise of MPa, kg/s and K, there in MPa) and sec. V-A (the filters)."""
+    assert (C.length, C.diameter, C.roughness, C.ambient, C.heat_transfer) == (150e3, 1.4, 0.016e-3, 278.15, 2.84)
+    assert SIGMA == {"high": (50.0, 0.25, 0.15), "moderate": (500.0, 2.5, 1.5), "low": (1000.0, 10.0, 6.0)}
+    unscented, ensemble = PAPER_FILTERS["ukf"], PAPER_FILTERS["enkf"]
+    assert isinstance(unscented, Unscented) and isinstance(ensemble, Ensemble)
+    assert (unscented.points.alpha, unscented.points.beta, ensemble.settings.size) == (1e-3, 2.0, 40)
 
 
 def test_dimensions_and_names(plant: Plant) -> None:
