@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -16,6 +16,7 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, Prediction, initial_state, predict, take
 from fusion_sfdia.stochastic_thresholds.consensus_equations import UNKNOWN
 from fusion_sfdia.stochastic_thresholds.present_readings import PredictedReadings, Taken
+from fusion_sfdia.stochastic_thresholds.unread_states import estimable
 
 Array = NDArray[Any]
 
@@ -24,7 +25,9 @@ Array = NDArray[Any]
 class AreaDiagnosers:
     """The local diagnosers of a plant that states its areas; their memory is `Diagnosers`.
 
-    Raises ValueError where states or inputs of the plant are not those of its areas, or where a sensor belongs to no area.
+    areas: as stated; here, states without a sensor have an infinite noise, and the gain of an observer (unread_states).
+    Raises ValueError where states or inputs of the plant are not those of its areas, where a sensor belongs to no area, or where
+    states without a sensor cannot be estimated.
     """
 
     plant: Plant
@@ -40,8 +43,12 @@ class AreaDiagnosers:
                 f"plant {plant.name!r} has {len(plant.states)} states and {len(plant.inputs)} inputs, its areas "
                 f"{len(state_names)} states and {2 * count} inputs, references then loads; give the areas of this plant"
             )
-        for s in plant.sensors:
-            self.areas.place(s.measures, s.owner)
+        own, shared = self._of_areas(np.ones(len(plant.sensors)), 0.0)
+        if not (np.all(own) and np.all(shared)):
+            areas = self.areas
+            noise, shared_noise = np.where(own > 0, areas.noise, np.inf), np.where(shared > 0, areas.shared_noise, np.inf)
+            object.__setattr__(self, "areas", estimable(replace(areas, noise=noise, shared_noise=shared_noise)))
+            self.areas.sensing(self.mode)
 
     @cached_property
     def _place(self) -> Array:
@@ -64,6 +71,10 @@ class AreaDiagnosers:
         x0, sigma = (a.reshape(count, n) for a in (self.plant.x0, np.sqrt(diagonal(self.plant.initial_cov))))
         now = initial_state(self.areas, batch)
         now.held[...], now.error_bound[...] = x0, sigma
+        if self.areas.partly_read:
+            unread = self.areas.unread
+            now.error_bound[..., unread] = 0.0
+            now.covariance[...] = np.where(unread, sigma**2, 0.0)[..., None] * np.eye(n)
         now.held_shared[...], now.error_bound_shared[...] = x0[neighbour, 0], np.where(closed, sigma[neighbour, 0], UNKNOWN)
         return now
 
@@ -78,30 +89,50 @@ class AreaDiagnosers:
 
     def take(self, predicted: PredictedReadings, y: Array) -> Taken:
         """As of PresentReadings: after the readings y (B, N), NaN where missing or left out."""
-        memory = take(predicted.inner, *self._of_areas(y / self._scale, np.nan))
+        memory = take(self.areas, predicted.inner, *self._of_areas(y / self._scale, np.nan))
         return Taken(memory, memory.held.reshape(*memory.held.shape[:-2], -1), None)
 
     def effects(
         self, memory: Diagnosers, predicted: PredictedReadings, now: TimeStep, u: Array, rows: Array
     ) -> tuple[Array, Array]:
         """As of PresentReadings: the equations for unit readings and unit residuals."""
-        error_bound, error_bound_shared = memory.error_bound[rows][:, None], memory.error_bound_shared[rows][:, None]
-        units = self._of_areas(np.eye(self._place.size), 0.0)
-        nothing = np.zeros((len(error_bound), self._place.size, self.areas.size[0]))
-        still, none = np.zeros_like(units[0]), np.zeros_like(units[1])
-        read = units[0] * (error_bound == 0.0), units[1] * (error_bound_shared == 0.0)
-        found = []
-        for held, residual in ((read, (still, none)), ((still, none), units)):
-            one = Diagnosers(held[0], held[1], error_bound, error_bound_shared, residual[0], residual[1], still, none)
-            ahead = predict(self.areas, one, nothing, nothing, self.lam, self.mode)
-            change = self._of_sensors(ahead.estimate, ahead.estimate_shared)
-            found.append(np.swapaxes(change, -1, -2) * self._scale[:, None] / self._scale)
+        units, still = self._units, tuple(map(np.zeros_like, self._units))
+        read, residuals = self._response(memory, rows, self._held(memory, rows), still), self._response(memory, rows, still, units)
+        found = [
+            np.swapaxes(self._of_sensors(*change), -1, -2) * self._scale[:, None] / self._scale for change in (read, residuals)
+        ]
         return found[0], -found[1]
+
+    @cached_property
+    def _units(self) -> tuple[Array, Array]:
+        return self._of_areas(np.eye(self._place.size), 0.0)
+
+    def _held(self, memory: Diagnosers, rows: Array) -> tuple[Array, Array]:
+        """What a unit in each of the N last readings adds to held values, own (R, N, areas, n) and shared (R, N, 2E)."""
+        areas, (own, shared) = self.areas, self._units
+        own = own * (memory.error_bound[rows][:, None] == 0.0)
+        shared = shared * (memory.error_bound_shared[rows][:, None] == 0.0)
+        if areas.partly_read:
+            known = own * (memory.deviation[rows][:, None] > 0.0)
+            own = own + (areas.arrays(self.mode).gain @ known[..., None])[..., 0]
+            shared = np.where(areas.unread_shared, own[..., areas.network.topology.neighbour, 0], shared)
+        return own, shared
+
+    def _response(
+        self, memory: Diagnosers, rows: Array, held: tuple[Array, ...], residual: tuple[Array, ...]
+    ) -> tuple[Array, Array]:
+        """What held values and residuals, each (R, N, areas, n) and (R, N, 2E), add to the next estimates."""
+        bounds = memory.error_bound[rows][:, None], memory.error_bound_shared[rows][:, None]
+        nothing = np.zeros((len(bounds[0]), self._place.size, self.areas.size[0]))
+        still = (np.zeros_like(a) for a in self._units)
+        one = Diagnosers(*held, *bounds, *residual, *still, memory.covariance[rows][:, None])  # type: ignore[misc]
+        ahead = predict(self.areas, one, nothing, nothing, self.lam, self.mode)
+        return ahead.estimate, ahead.estimate_shared
 
     def without_faults(
         self, memory: Diagnosers, predicted: PredictedReadings, now: TimeStep, u: Array, size: Array, uncertainty: Array
     ) -> PredictedReadings:
-        """As of PresentReadings; states that no sensor reads do not change."""
+        """As of PresentReadings; estimates of unread states lose the effect, too."""
         rows = np.any(size != 0, axis=-1)
         absorbed = np.zeros((*size.shape, size.shape[-1]))
         absorbed[rows] = self.effects(memory, predicted, now, u, rows)[0]
@@ -110,6 +141,14 @@ class AreaDiagnosers:
         ahead: Prediction = predicted.inner
         shift, shift_shared = self._of_areas(less / self._scale, 0.0)
         wider, wider_shared = self._of_areas(more / np.abs(self._scale), 0.0)
+        covariance, unread = ahead.covariance.copy(), self.areas.unread
+        if self.areas.partly_read:
+            change = self._response(memory, rows, self._held(memory, rows), tuple(map(np.zeros_like, self._units)))[0]
+            size, uncertainty = (np.swapaxes(a[rows] / self._scale, -1, -2) for a in (size[..., None, :], uncertainty[..., None, :]))
+            shift[rows] += np.where(unread, np.sum(change * size[..., None], axis=-3), 0.0)
+            spread = np.sum(np.abs(change * uncertainty[..., None]), axis=-3)  # correlates with the errors of the estimates
+            outer = spread[..., :, None] * spread[..., None, :]
+            covariance[rows] = np.where(np.any(spread > 0, axis=-1)[..., None, None], 2 * (covariance[rows] + outer), covariance[rows])
         return predicted._replace(
             expected=predicted.expected - less,
             deviation=predicted.deviation + more,
@@ -120,6 +159,8 @@ class AreaDiagnosers:
                 ahead.deviation_shared + wider_shared,
                 np.minimum(ahead.error_bound + wider, UNKNOWN),
                 np.minimum(ahead.error_bound_shared + wider_shared, UNKNOWN),
+                covariance,
+                ahead.memory,
             ),
         )
 

@@ -6,6 +6,7 @@ send: the drive of a state that they share, and the brackets of (6) and (15).
 
 from __future__ import annotations
 
+from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from fusion_sfdia.stochastic_thresholds.consensus_equations import UNKNOWN
 
 Array = NDArray[Any]
 MODES = ("corrected", "paper")
+NO_COVARIANCE = np.empty((0, 0, 0))  # of areas that read all their states
 
 
 class Diagnosers(NamedTuple):
@@ -25,7 +27,8 @@ class Diagnosers(NamedTuple):
 
     held: the last readings, or estimates where a reading was missing. error_bound: 0 for a reading; for an estimate a bound of
     the standard deviation of its error. residual: y - x_hat, 0 where a reading was missing. deviation: s, a bound of the
-    standard deviation of the residual.
+    standard deviation of the residual. covariance (B, N, n, n): Sigma of the errors of estimates of unread states, with each
+    other and with the readings, whose own variances it lacks; (B, N, 0, 0) in a network whose areas read all their states.
     """
 
     held: Array
@@ -36,6 +39,7 @@ class Diagnosers(NamedTuple):
     residual_shared: Array
     deviation: Array
     deviation_shared: Array
+    covariance: Array = NO_COVARIANCE
 
     @property
     def own(self) -> tuple[Array, Array, Array, Array]:
@@ -47,7 +51,11 @@ class Diagnosers(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """For the next reading: estimate (6), deviation s of its residual (14, 15), error_bound of the estimate."""
+    """For the next reading: estimate (6), deviation s of its residual (14, 15), error_bound of the estimate.
+
+    covariance (B, N, n, n): M, the covariance of x - f(x_bar), of areas with unread states. memory (B, N, n): lam e, by which
+    the estimate is less than f(x_bar).
+    """
 
     estimate: Array
     estimate_shared: Array
@@ -55,6 +63,8 @@ class Prediction(NamedTuple):
     deviation_shared: Array
     error_bound: Array
     error_bound_shared: Array
+    covariance: Array = NO_COVARIANCE
+    memory: Array = NO_COVARIANCE
 
 
 class NetworkReadings(NamedTuple):
@@ -71,12 +81,16 @@ class NetworkReadings(NamedTuple):
 def initial_state(areas: Areas, batch: tuple[int, ...]) -> Diagnosers:
     """Return diagnosers without information for a batch of runs.
 
-    Each copy starts from its first reading and is tested from the second on.
+    Each copy starts from its first reading and is tested from the second on. An unread state has the standard deviation ENOUGH,
+    which decays with its observer: give `held` and `covariance` where they are known.
     """
     count, n, sides = areas.size
     own, shared = np.zeros((*batch, count, n)), np.zeros((*batch, sides))
-    unknown = np.full_like(own, UNKNOWN), np.full_like(shared, UNKNOWN)
-    return Diagnosers(own, shared, *unknown, own.copy(), shared.copy(), own.copy(), shared.copy())
+    unknown = np.where(areas.unread, 0.0, np.full_like(own, UNKNOWN)), np.full_like(shared, UNKNOWN)
+    side = n if areas.partly_read else 0
+    covariance = np.zeros((*batch, count, side, side))
+    covariance[..., *np.diag_indices(side)] = np.where(areas.unread, UNKNOWN, 0.0)[:, :side]
+    return Diagnosers(own, shared, *unknown, own.copy(), shared.copy(), own.copy(), shared.copy(), covariance)
 
 
 def predict(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: float, mode: str) -> Prediction:
@@ -88,18 +102,21 @@ def predict(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: f
     batch = np.broadcast_shapes(*{a.shape[:-2] for a in of_areas}, *{a.shape[:-1] for a in (*of_sides, *inputs)})
     own = [_flat(a, batch, (count, n)) for a in of_areas]
     shared = [_flat(a, batch, (sides,)) for a in of_sides]
-    found = [*(np.empty(a[0].shape) for _ in range(4) for a in (own, shared)), np.empty((len(own[0]), count), bool)]
+    covariance = _flat(now.covariance, batch, now.covariance.shape[-3:])
+    found = [*(np.empty(a[0].shape) for _ in range(4) for a in (own, shared)), np.empty(covariance.shape)]
     none = np.empty((0, count, n)), np.empty((0, sides))
     equations.step_areas(
-        own[0], shared[0], own[1], shared[1], own[2], shared[2], own[3], shared[3], _flat(reference, batch, (count,)),
+        own[0], shared[0], own[1], shared[1], own[2], shared[2], own[3], shared[3], covariance, _flat(reference, batch, (count,)),
         _flat(load, batch, (count,)), lam, mode == "paper", *areas.arrays(mode), 1.0, *none, *found,
+        np.empty((len(own[0]), count), bool),
     )  # fmt: skip
-    estimate, error_bound, _, deviation = ([a.reshape(*batch, *a.shape[1:]) for a in found[k : k + 2]] for k in range(0, 8, 2))
-    return Prediction(*estimate, *deviation, *error_bound)
+    found = [a.reshape(*batch, *a.shape[1:]) for a in found]
+    estimate, error_bound, memory, deviation = (found[k : k + 2] for k in range(0, 8, 2))
+    return Prediction(*estimate, *deviation, *error_bound, found[8], memory[0])
 
 
-def take(predicted: Prediction, own: Array, shared: Array) -> Diagnosers:
-    """Return the diagnosers after the readings own (B, N, n) and shared (B, 2E); NaN where missing or left out."""
+def take(areas: Areas, predicted: Prediction, own: Array, shared: Array) -> Diagnosers:
+    """Return the diagnosers after the readings own (B, N, n) and shared (B, 2E); NaN where missing, left out or unread."""
     kept = []
     own_and_shared = (
         (own, predicted.estimate, predicted.deviation, predicted.error_bound),
@@ -113,10 +130,19 @@ def take(predicted: Prediction, own: Array, shared: Array) -> Diagnosers:
         residual = np.empty(y.shape)
         equations.take_readings(np.ravel(y), held.reshape(-1), bound.reshape(-1), residual.reshape(-1), s.reshape(-1))
         kept.append((held, bound, residual, s))
-    return Diagnosers(*(x for pair in zip(*kept, strict=True) for x in pair))
+    batch, (count, n, sides) = own.shape[:-2], areas.size
+    covariance = np.array(np.broadcast_to(predicted.covariance, (*batch, *predicted.covariance.shape[-3:])), order="C")
+    after = Diagnosers(*(x for pair in zip(*kept, strict=True) for x in pair), covariance)
+    if areas.partly_read:
+        a = areas.arrays("corrected")
+        flat = [x.reshape(prod(batch), *x.shape[len(batch) :]) for x in after]
+        memory = _flat(predicted.memory, batch, (count, n))
+        model = a.closed, a.noise, a.unread, a.unread_shared, a.gain, a.start, a.opposite
+        equations.correct_areas(*model, memory, *flat)
+    return after
 
 
 def _flat(a: Array, batch: tuple[int, ...], shape: tuple[int, ...]) -> Array:
     """The array (*batch, *shape) with the leading axes of the batch merged into one, of one type for compiled code."""
     whole = a if a.shape == (*batch, *shape) else np.broadcast_to(a, (*batch, *shape))
-    return plain(whole).reshape(-1, *shape)
+    return plain(whole).reshape(prod(batch), *shape)

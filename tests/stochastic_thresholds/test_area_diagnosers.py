@@ -18,7 +18,7 @@ def test_the_diagnosers_of_a_plant_are_those_of_its_areas() -> None:
     now = Chebyshev(network()).init((2,)).memory.diagnoser
     for k in range(STEPS):
         ahead = predict(areas, now, u[k, :, :15], u[k, :, 15:], 0.3, "corrected")
-        now = take(ahead, y[k, :, :60].reshape(2, 15, 4), y[k, :, 60:])
+        now = take(areas, ahead, y[k, :, :60].reshape(2, 15, 4), y[k, :, 60:])
         both = np.concatenate([ahead.estimate.reshape(2, 60), ahead.estimate_shared], axis=-1)
         np.testing.assert_allclose(d.residual[k], y[k] - both, atol=100 * np.finfo(float).eps)  # a compiled sum of 20 terms
 
