@@ -209,7 +209,7 @@ def spread(F: Any, G: Any, weight_F: Any, weight_G: Any, covariance: Any) -> Any
     return total
 
 
-@equation
+@compiled
 def find_prior(
     b: Any, i: Any, error_bound: Any, error_bound_shared: Any, covariance: Any, matrices: Any, slope: Any, closed: Any,
     process_variance: Any, noise: Any, shared_noise: Any, start: Any, opposite: Any, area_terms: Any, side_terms: Any, row: Any,
@@ -266,7 +266,7 @@ def find_prior(
                 M[r, k] *= (UNKNOWN / total) ** 2
 
 
-@equation
+@compiled
 def correct(held: Any, M: Any, gain: Any, noise: Any, unread: Any, residual: Any, memory: Any, s: Any) -> None:
     """Correct the estimates of unread states in held (n) with chi = residual - memory of the readings that are known (s > 0);
     M (n, n) becomes the covariance of the errors of these states, with each other and with the readings."""
@@ -361,11 +361,11 @@ def step_areas(
     fits &= gain.shape[0] == 0 or (gain.shape == matrices[:, :, :n].shape and covariance.shape == (runs, areas, n, n))
     if not fits:
         return False
-    memories = np.zeros(n)
+    memories, some = np.zeros(n), gain.shape[0] > 0  # some: whether any state is not read
     for b in range(runs):
         for i in range(areas):
             first, past, row, shift = start[i], start[i + 1], i, 0
-            partly = gain.shape[0] > 0 and np.any(unread[i])
+            partly = some and np.any(unread[i])
             inflow, complete = 0.0, not partly  # complete: all values that are used of the states of the area and of its neighbours
             for c in range(n):
                 complete &= error_bound[b, i, c] == 0.0
@@ -387,6 +387,8 @@ def step_areas(
                     b, i, error_bound, error_bound_shared, covariance, matrices, slope, closed, process_variance, noise,
                     shared_noise, start, opposite, area_terms, side_terms, row, shift, covariance_after[b, i],
                 )  # fmt: skip
+            elif some:
+                covariance_after[b, i] = 0.0
             drive, crossed = 0.0, False
             for r in range(n):
                 value = matrices[i, r, n] * reference[b, i] + matrices[i, r, n + 1] * (inflow - load[b, i])
@@ -395,11 +397,11 @@ def step_areas(
                 if r == 0:
                     drive = value
                     continue
-                memory, memories[r] = lam * deviation[b, i, r], lam * residual[b, i, r]
+                memory = lam * deviation[b, i, r]
                 x = (
                     private_term(value, residual[b, i, r], lam),
-                    0.0 if unread[i, r] else min(memory + area_terms[row, 1 + n + r], UNKNOWN),
-                    memories[r],
+                    0.0 if partly and unread[i, r] else min(memory + area_terms[row, 1 + n + r], UNKNOWN),
+                    0.0,
                     (memory + area_terms[row, 1 + r]),
                 )
                 if read:
@@ -407,25 +409,32 @@ def step_areas(
                 h[b, i, r], d[b, i, r], e[b, i, r], s[b, i, r] = x
                 crossed |= abs(x[2]) > alpha * x[3]
             a, W = matrices[i, 0, 0], area_terms[row, 0]
-            agreed, memory, memories[0] = 0.0, 0.0, W * lam * residual[b, i, 0]
+            agreed, memory = 0.0, 0.0
             for side in range(first, past):
                 if closed[side]:
                     k, W_k = opposite[side], side_terms[side + shift, 0]
                     agreed += W_k * shared_term(held_shared[b, k], drive, residual_shared[b, k], a, lam)
                     memory += W_k * deviation_shared[b, k]
-                    memories[0] += W_k * lam * residual_shared[b, k]
             agreed += W * shared_term(held[b, i, 0], drive, residual[b, i, 0], a, lam)
             memory = lam * (W * deviation[b, i, 0] + memory)
             bound = min(memory + area_terms[row, 1 + n], UNKNOWN)
-            x = agreed, 0.0 if unread[i, 0] else bound, memories[0], memory + area_terms[row, 1]
+            x = agreed, 0.0 if partly and unread[i, 0] else bound, 0.0, memory + area_terms[row, 1]
             if read:
                 x = taken(own[b, i, 0], x[0], x[1], x[3])
             h[b, i, 0], d[b, i, 0], e[b, i, 0], s[b, i, 0] = x
             crossed |= abs(x[2]) > alpha * x[3]
             alarm[b, i] |= crossed
+            if partly:
+                memories[1:] = lam * residual[b, i, 1:]
+                memories[0] = W * lam * residual[b, i, 0]
+                for side in range(first, past):
+                    if closed[side]:
+                        memories[0] += side_terms[side + shift, 0] * lam * residual_shared[b, opposite[side]]
+                if not read:
+                    e[b, i] = memories
             if read and partly:
                 correct(h[b, i], covariance_after[b, i], gain[i], noise[i], unread[i], e[b, i], memories, s[b, i])
-            variance = covariance_after[b, i, 0, 0] if unread[i, 0] else 0.0
+            variance = covariance_after[b, i, 0, 0] if partly and unread[i, 0] else 0.0
             for side in range(first, past):
                 k = opposite[side]
                 x = held_shared[b, k], UNKNOWN, 0.0, UNKNOWN
@@ -435,6 +444,6 @@ def step_areas(
                     x = taken(shared[b, k], x[0], x[1], x[3])
                 h_shared[b, k], d_shared[b, k], e_shared[b, k], s_shared[b, k] = x
                 alarm[b, reader[side]] |= abs(x[2]) > alpha * x[3]
-                if read and closed[side] and unread_shared[k]:
+                if some and read and closed[side] and unread_shared[k]:
                     sent(b, k, h[b, i, 0], d[b, i, 0], variance, h_shared, d_shared, e_shared, s_shared)
     return True

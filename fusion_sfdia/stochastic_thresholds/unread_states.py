@@ -11,8 +11,11 @@ this is the best gain among estimates that do so, not the Kalman filter of the a
     eps_i+ = (1 - K_i C_i) (F_i eps_i + g_i sum_j P_ij z_err_j)
 
 with z_err_j = 0 where area i reads z_j or receives its reading. They decay where the largest magnitude of an eigenvalue of this
-matrix over all unread states is below 1, and e = lam e + ... where lam is (Proposition 2): see `spectral_radius`. An area for itself
-has such a gain where no mode of F_i that does not decay is invisible in its readings (it is detectable).
+matrix over all unread states is below 1, and the residuals' memory where lam is: Proposition 2 here, `spectral_radius`. An area for
+itself has such a gain where each mode of F_i that does not decay is visible in its readings (it is detectable).
+
+(29) to (33) hold as printed for a fault's effect E on a residual if E is that of the observer, as `detectable` takes it from
+readings without noise: E(t) = lam E(t-1) + phi(t-1) only where all states are read.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, initial_sta
 Array = NDArray[Any]
 
 MOST_STEPS = 1000
+MOST_ROUNDED = 100 * np.finfo(float).eps
 SETTLED = 1e-10  # largest change of a gain in a step over the largest gain
 DECAYS = 1 - 1e-6  # errors that decay by less in a step do not decay in any run
 
@@ -42,7 +46,7 @@ def estimable(areas: Areas) -> Areas:
     if not areas.partly_read:
         return areas
     found = areas if areas.gain is not None else replace(areas, gain=np.zeros((*areas.noise.shape, areas.noise.shape[1])))
-    now = settle(found, choose=areas.gain is None)
+    now, grows = settle(found, choose=areas.gain is None)
     network, count = areas.network, areas.size[0]
     F = error_matrix(found, now)
     places = np.flatnonzero(areas.unread)
@@ -56,19 +60,26 @@ def estimable(areas: Areas) -> Areas:
                 f"{radius:.6g} a step) with readings of {', '.join(read) or 'no state'}; expected a factor below 1: add a sensor "
                 f"of one of {', '.join(names)}" + ("" if areas.gain is None else ", or give another gain or None")
             )
-    if not (radius := _radius(F[np.ix_(network.plugged[owner], network.plugged[owner])])) < DECAYS:
+    if not (radius := error_radius(found, now)) < DECAYS:
         raise ValueError(
             f"errors of unread states do not decay in the network (factor {radius:.6g} a step), though they do in each area: they "
             f"pass between areas that do not read each other's first states, {areas.unread_names}; expected a factor below 1: "
             "add sensors of first states"
         )
+    if np.any(grows := grows & network.plugged):
+        raise ValueError(
+            f"the bound of the errors of unread states grows in {network.topology.shown(np.flatnonzero(grows))}, though the errors "
+            f"decay (factor {radius:.6g} a step): it allows for any correlation of errors that pass between areas, "
+            f"{areas.unread_names}; expected a bound that settles: add sensors of first states"
+        )
     return found
 
 
-def settle(areas: Areas, choose: bool = False) -> Diagnosers:
-    """Return the diagnosers (1, ...) of a network whose readings have all been there for long, with the settled Sigma.
+def settle(areas: Areas, choose: bool = False) -> tuple[Diagnosers, Array]:
+    """Return the diagnosers (1, ...) of a network whose readings have all been there for long, and where Sigma grows (N,).
 
-    choose: write the gain of each step to areas.gain. MOST_STEPS steps at most: Sigma need not settle.
+    choose: write the gain of each step to areas.gain. Sigma grows where it has not settled after MOST_STEPS, and its changes do
+    not become smaller.
     """
     count, n, sides = areas.size
     still = np.zeros((1, count))
@@ -79,22 +90,26 @@ def settle(areas: Areas, choose: bool = False) -> Diagnosers:
     some = np.flatnonzero(np.any(areas.unread, axis=1))
     read = ~areas.unread[some]
     noise = np.where(read, areas.noise[some], 1.0)[:, None] * np.eye(n)
+    conditioned = np.where(read, areas.noise[some], 1.0).min(axis=1) / MOST_ROUNDED  # beyond, S keeps nothing of R
     both = areas.unread[some][:, :, None] & read[:, None, :]
     assert areas.gain is not None
+    change = np.full(count, np.inf)
     for _ in range(MOST_STEPS):
         ahead = predict(areas, now, still, still, 0.0, "corrected")
-        before = now.covariance, areas.gain[some]
+        before = now.covariance, areas.gain[some], change
         if choose:
             M = ahead.covariance[0, some]
-            S = np.where(read[:, :, None] & read[:, None, :], M, 0.0) + noise
-            areas.gain[some] = np.linalg.solve(S, np.where(both, M, 0.0).mT).mT
+            well = np.trace(M, axis1=1, axis2=2) < conditioned
+            S = np.where(read[:, :, None] & read[:, None, :], M, 0.0)[well] + noise[well]
+            areas.gain[some[well]] = np.linalg.solve(S, np.where(both, M, 0.0)[well].mT).mT
             areas.arrays("corrected").gain[some] = areas.gain[some]
         now = take(areas, ahead, own, shared)
-        changes = [np.abs(now.covariance - before[0]).max(), np.abs(areas.gain[some] - before[1]).max(initial=0.0)]
-        largest = [np.abs(now.covariance).max(), np.abs(areas.gain[some]).max(initial=0.0)]
-        if all(c <= SETTLED * size for c, size in zip(changes, largest, strict=True)):
+        change = np.abs(now.covariance - before[0])[0].max(axis=(1, 2))
+        settled = change <= SETTLED * np.abs(now.covariance[0]).max(axis=(1, 2))
+        gains = np.abs(areas.gain[some] - before[1]).max(initial=0.0) <= SETTLED * np.abs(areas.gain[some]).max(initial=0.0)
+        if gains and np.all(settled):
             break
-    return now
+    return now, ~settled & (change >= DECAYS * before[2])
 
 
 def error_matrix(areas: Areas, now: Diagnosers) -> Array:
@@ -115,6 +130,12 @@ def error_matrix(areas: Areas, now: Diagnosers) -> Array:
                 whole[i, :, at.neighbour[s], 0] += kept @ areas.matrices[i, :, n + 1] * areas.slope[s]
     unread = areas.unread.ravel()
     return whole.reshape(count * n, count * n)[np.ix_(unread, unread)]
+
+
+def error_radius(areas: Areas, now: Diagnosers) -> float:
+    """The largest magnitude of an eigenvalue of `error_matrix` of the plugged-in areas: errors decay below 1."""
+    there = np.repeat(areas.network.plugged, areas.unread.sum(axis=1))
+    return _radius(error_matrix(areas, now)[np.ix_(there, there)])
 
 
 def _radius(matrix: Array) -> float:
