@@ -16,7 +16,7 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, Prediction, initial_state, predict, take
 from fusion_sfdia.stochastic_thresholds.consensus_equations import UNKNOWN
 from fusion_sfdia.stochastic_thresholds.present_readings import PredictedReadings, Taken
-from fusion_sfdia.stochastic_thresholds.unread_states import estimable
+from fusion_sfdia.stochastic_thresholds.unread_states import require_estimable
 
 Array = NDArray[Any]
 
@@ -25,9 +25,9 @@ Array = NDArray[Any]
 class AreaDiagnosers:
     """The local diagnosers of a plant that states its areas; their memory is `Diagnosers`.
 
-    areas: as stated; here, states without a sensor have an infinite noise, and the gain of an observer (unread_states).
-    Raises ValueError where states or inputs of the plant are not those of its areas, where a sensor belongs to no area, or where
-    states without a sensor cannot be estimated.
+    areas: as stated; then, the noise of states without a sensor is infinite.
+    Raises ValueError where states or inputs of the plant are not those of its areas, where a sensor belongs to no area, and
+    where states without a sensor cannot be estimated (require_estimable).
     """
 
     plant: Plant
@@ -45,10 +45,11 @@ class AreaDiagnosers:
             )
         own, shared = self._of_areas(np.ones(len(plant.sensors)), 0.0)
         if not (np.all(own) and np.all(shared)):
-            areas = self.areas
-            noise, shared_noise = np.where(own > 0, areas.noise, np.inf), np.where(shared > 0, areas.shared_noise, np.inf)
-            object.__setattr__(self, "areas", estimable(replace(areas, noise=noise, shared_noise=shared_noise)))
-            self.areas.sensing(self.mode)
+            noise = np.where(own > 0, self.areas.noise, np.inf)
+            shared_noise = np.where(shared > 0, self.areas.shared_noise, np.inf)
+            object.__setattr__(self, "areas", replace(self.areas, noise=noise, shared_noise=shared_noise))
+            self.areas.arrays(self.mode)
+            require_estimable(self.areas)
 
     @cached_property
     def _place(self) -> Array:
@@ -71,10 +72,10 @@ class AreaDiagnosers:
         x0, sigma = (a.reshape(count, n) for a in (self.plant.x0, np.sqrt(diagonal(self.plant.initial_cov))))
         now = initial_state(self.areas, batch)
         now.held[...], now.error_bound[...] = x0, sigma
-        if self.areas.partly_read:
-            unread = self.areas.unread
-            now.error_bound[..., unread] = 0.0
-            now.covariance[...] = np.where(unread, sigma**2, 0.0)[..., None] * np.eye(n)
+        some = np.any(self.areas.unread, axis=1)
+        if np.any(some):
+            now.error_bound[..., some, :] = 0.0
+            now.covariance[..., some, :, :] = (sigma**2)[some, :, None] * np.eye(n)
         now.held_shared[...], now.error_bound_shared[...] = x0[neighbour, 0], np.where(closed, sigma[neighbour, 0], UNKNOWN)
         return now
 
@@ -96,36 +97,34 @@ class AreaDiagnosers:
         self, memory: Diagnosers, predicted: PredictedReadings, now: TimeStep, u: Array, rows: Array
     ) -> tuple[Array, Array]:
         """As of PresentReadings: the equations for unit readings and unit residuals."""
-        units, still = self._units, tuple(map(np.zeros_like, self._units))
-        read, residuals = self._response(memory, rows, self._held(memory, rows), still), self._response(memory, rows, still, units)
-        found = [
-            np.swapaxes(self._of_sensors(*change), -1, -2) * self._scale[:, None] / self._scale for change in (read, residuals)
-        ]
+        units = self._of_areas(np.eye(self._place.size), 0.0)
+        still = np.zeros_like(units[0]), np.zeros_like(units[1])
+        found = []
+        for held, residual in ((self._held(memory, rows), still), (still, units)):
+            change = self._of_sensors(*self._change(memory, rows, held, residual))
+            found.append(np.swapaxes(change, -1, -2) * self._scale[:, None] / self._scale)
         return found[0], -found[1]
-
-    @cached_property
-    def _units(self) -> tuple[Array, Array]:
-        return self._of_areas(np.eye(self._place.size), 0.0)
 
     def _held(self, memory: Diagnosers, rows: Array) -> tuple[Array, Array]:
         """What a unit in each of the N last readings adds to held values, own (R, N, areas, n) and shared (R, N, 2E)."""
-        areas, (own, shared) = self.areas, self._units
-        own = own * (memory.error_bound[rows][:, None] == 0.0)
+        areas, (own, shared) = self.areas, self._of_areas(np.eye(self._place.size), 0.0)
         shared = shared * (memory.error_bound_shared[rows][:, None] == 0.0)
+        kept = own * (memory.error_bound[rows][:, None] == 0.0)
         if areas.partly_read:
-            known = own * (memory.deviation[rows][:, None] > 0.0)
-            own = own + (areas.arrays(self.mode).gain @ known[..., None])[..., 0]
-            shared = np.where(areas.unread_shared, own[..., areas.network.topology.neighbour, 0], shared)
-        return own, shared
+            read = own * (memory.deviation[rows] > 0.0)[:, None]
+            K = memory.covariance[rows] / areas.noise[:, None]  # Sigma_ur / R, and a unit row of each state that is read
+            kept = np.where(np.any(areas.unread, axis=1)[:, None], (K[:, None] @ read[..., None])[..., 0], kept)
+            shared = np.where(areas.received, kept[..., areas.network.topology.neighbour, 0], shared)
+        return kept, shared
 
-    def _response(
-        self, memory: Diagnosers, rows: Array, held: tuple[Array, ...], residual: tuple[Array, ...]
+    def _change(
+        self, memory: Diagnosers, rows: Array, held: tuple[Array, Array], residual: tuple[Array, Array]
     ) -> tuple[Array, Array]:
-        """What held values and residuals, each (R, N, areas, n) and (R, N, 2E), add to the next estimates."""
+        """What held values and residuals, own (R, N, areas, n) and shared (R, N, 2E), add to the next estimates."""
         bounds = memory.error_bound[rows][:, None], memory.error_bound_shared[rows][:, None]
         nothing = np.zeros((len(bounds[0]), self._place.size, self.areas.size[0]))
-        still = (np.zeros_like(a) for a in self._units)
-        one = Diagnosers(*held, *bounds, *residual, *still, memory.covariance[rows][:, None])  # type: ignore[misc]
+        still = np.zeros_like(residual[0]), np.zeros_like(residual[1])
+        one = Diagnosers(*held, *bounds, *residual, *still, memory.covariance[rows][:, None])
         ahead = predict(self.areas, one, nothing, nothing, self.lam, self.mode)
         return ahead.estimate, ahead.estimate_shared
 
@@ -141,14 +140,16 @@ class AreaDiagnosers:
         ahead: Prediction = predicted.inner
         shift, shift_shared = self._of_areas(less / self._scale, 0.0)
         wider, wider_shared = self._of_areas(more / np.abs(self._scale), 0.0)
-        covariance, unread = ahead.covariance.copy(), self.areas.unread
+        M = ahead.covariance
         if self.areas.partly_read:
-            change = self._response(memory, rows, self._held(memory, rows), tuple(map(np.zeros_like, self._units)))[0]
-            size, uncertainty = (np.swapaxes(a[rows] / self._scale, -1, -2) for a in (size[..., None, :], uncertainty[..., None, :]))
-            shift[rows] += np.where(unread, np.sum(change * size[..., None], axis=-3), 0.0)
-            spread = np.sum(np.abs(change * uncertainty[..., None]), axis=-3)  # correlates with the errors of the estimates
-            outer = spread[..., :, None] * spread[..., None, :]
-            covariance[rows] = np.where(np.any(spread > 0, axis=-1)[..., None, None], 2 * (covariance[rows] + outer), covariance[rows])
+            none = np.zeros(self.areas.noise.shape), np.zeros(self.areas.shared_noise.shape)
+            change = self._change(memory, rows, self._held(memory, rows), none)[0]
+            of_rows = size[rows] / self._scale, uncertainty[rows] / np.abs(self._scale)
+            shift[rows] = np.where(self.areas.unread, np.einsum("rk,rkic->ric", of_rows[0], change), shift[rows])
+            spread = np.einsum("rk,rkic->ric", of_rows[1], np.abs(change))
+            wide = 2 * (M[rows] + spread.shape[-1] * spread[..., None] ** 2 * np.eye(spread.shape[-1]))
+            M = M.copy()  # E[(A + B)(A + B)'] <= 2 E[A A'] + 2 E[B B'], B B' <= n diag(B_c^2)
+            M[rows] = np.where(np.any(spread > 0, axis=-1)[..., None, None], wide, M[rows])
         return predicted._replace(
             expected=predicted.expected - less,
             deviation=predicted.deviation + more,
@@ -159,8 +160,8 @@ class AreaDiagnosers:
                 ahead.deviation_shared + wider_shared,
                 np.minimum(ahead.error_bound + wider, UNKNOWN),
                 np.minimum(ahead.error_bound_shared + wider_shared, UNKNOWN),
-                covariance,
-                ahead.memory,
+                M,
+                ahead.ahead - shift if M.size else ahead.ahead,
             ),
         )
 

@@ -19,7 +19,7 @@ from fusion_sfdia.stochastic_thresholds.consensus_equations import UNKNOWN
 
 Array = NDArray[Any]
 MODES = ("corrected", "paper")
-NO_COVARIANCE = np.empty((0, 0, 0))  # of areas that read all their states
+NO_COVARIANCE = np.empty((1, 0, 0))  # of areas that read all their states
 
 
 class Diagnosers(NamedTuple):
@@ -27,8 +27,8 @@ class Diagnosers(NamedTuple):
 
     held: the last readings, or estimates where a reading was missing. error_bound: 0 for a reading; for an estimate a bound of
     the standard deviation of its error. residual: y - x_hat, 0 where a reading was missing. deviation: s, a bound of the
-    standard deviation of the residual. covariance (B, N, n, n): Sigma of the errors of estimates of unread states, with each
-    other and with the readings, whose own variances it lacks; (B, N, 0, 0) in a network whose areas read all their states.
+    standard deviation of the residual. covariance (B, N, n, n): Sigma of the errors of held values in areas with unread states,
+    whose error bounds are 0; 0 in other areas, (B, N, 0, 0) in a network whose areas read all their states.
     """
 
     held: Array
@@ -53,8 +53,7 @@ class Diagnosers(NamedTuple):
 class Prediction(NamedTuple):
     """For the next reading: estimate (6), deviation s of its residual (14, 15), error_bound of the estimate.
 
-    covariance (B, N, n, n): M, the covariance of x - f(x_bar), of areas with unread states. memory (B, N, n): lam e, by which
-    the estimate is less than f(x_bar).
+    Of areas with unread states: covariance (B, N, n, n), M of x - f(x_bar), and ahead (B, N, n), f(x_bar).
     """
 
     estimate: Array
@@ -64,7 +63,7 @@ class Prediction(NamedTuple):
     error_bound: Array
     error_bound_shared: Array
     covariance: Array = NO_COVARIANCE
-    memory: Array = NO_COVARIANCE
+    ahead: Array = NO_COVARIANCE
 
 
 class NetworkReadings(NamedTuple):
@@ -81,15 +80,18 @@ class NetworkReadings(NamedTuple):
 def initial_state(areas: Areas, batch: tuple[int, ...]) -> Diagnosers:
     """Return diagnosers without information for a batch of runs.
 
-    Each copy starts from its first reading and is tested from the second on. An unread state has the standard deviation ENOUGH,
-    which decays with its observer: give `held` and `covariance` where they are known.
+    Each copy starts from its first reading and is tested from the second on. States of an area with unread states start with a
+    large covariance (far_of), which its first readings reduce: give `held` and `covariance` where they are known.
     """
     count, n, sides = areas.size
     own, shared = np.zeros((*batch, count, n)), np.zeros((*batch, sides))
-    unknown = np.where(areas.unread, 0.0, np.full_like(own, UNKNOWN)), np.full_like(shared, UNKNOWN)
-    side = n if areas.partly_read else 0
-    covariance = np.zeros((*batch, count, side, side))
-    covariance[..., *np.diag_indices(side)] = np.where(areas.unread, UNKNOWN, 0.0)[:, :side]
+    unknown = np.full_like(own, UNKNOWN), np.full_like(shared, UNKNOWN)
+    covariance = np.zeros((*batch, count, 0, 0))
+    if areas.partly_read:
+        some = np.any(areas.unread, axis=1)
+        far = [equations.far_of(*noise) for noise in zip(areas.noise, areas.process_variance, strict=True)]
+        covariance = np.zeros((*batch, count, n, n)) + np.where(some, far, 0.0)[:, None, None] ** 2 * np.eye(n)
+        unknown[0][..., some, :] = 0.0
     return Diagnosers(own, shared, *unknown, own.copy(), shared.copy(), own.copy(), shared.copy(), covariance)
 
 
@@ -102,17 +104,20 @@ def predict(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: f
     batch = np.broadcast_shapes(*{a.shape[:-2] for a in of_areas}, *{a.shape[:-1] for a in (*of_sides, *inputs)})
     own = [_flat(a, batch, (count, n)) for a in of_areas]
     shared = [_flat(a, batch, (sides,)) for a in of_sides]
-    covariance = _flat(now.covariance, batch, now.covariance.shape[-3:])
+    covariance = _flat(now.covariance, batch, (count, n, n) if areas.partly_read else (count, 0, 0))
     found = [*(np.empty(a[0].shape) for _ in range(4) for a in (own, shared)), np.empty(covariance.shape)]
+    found.append(np.empty((len(own[0]), count), bool))
     none = np.empty((0, count, n)), np.empty((0, sides))
     equations.step_areas(
-        own[0], shared[0], own[1], shared[1], own[2], shared[2], own[3], shared[3], covariance, _flat(reference, batch, (count,)),
-        _flat(load, batch, (count,)), lam, mode == "paper", *areas.arrays(mode), 1.0, *none, *found,
-        np.empty((len(own[0]), count), bool),
+        own[0], shared[0], own[1], shared[1], own[2], shared[2], own[3], shared[3], covariance,
+        _flat(reference, batch, (count,)), _flat(load, batch, (count,)), lam, mode == "paper", *areas.arrays(mode), 1.0, *none,
+        *found,
     )  # fmt: skip
-    found = [a.reshape(*batch, *a.shape[1:]) for a in found]
-    estimate, error_bound, memory, deviation = (found[k : k + 2] for k in range(0, 8, 2))
-    return Prediction(*estimate, *deviation, *error_bound, found[8], memory[0])
+    after = Diagnosers._make(a.reshape(*batch, *a.shape[1:]) for a in found[:-1])
+    return Prediction(
+        after.held, after.held_shared, after.deviation, after.deviation_shared, after.error_bound, after.error_bound_shared,
+        after.covariance, after.residual,
+    )  # fmt: skip
 
 
 def take(areas: Areas, predicted: Prediction, own: Array, shared: Array) -> Diagnosers:
@@ -130,15 +135,14 @@ def take(areas: Areas, predicted: Prediction, own: Array, shared: Array) -> Diag
         residual = np.empty(y.shape)
         equations.take_readings(np.ravel(y), held.reshape(-1), bound.reshape(-1), residual.reshape(-1), s.reshape(-1))
         kept.append((held, bound, residual, s))
-    batch, (count, n, sides) = own.shape[:-2], areas.size
+    batch = own.shape[:-2]
     covariance = np.array(np.broadcast_to(predicted.covariance, (*batch, *predicted.covariance.shape[-3:])), order="C")
-    after = Diagnosers(*(x for pair in zip(*kept, strict=True) for x in pair), covariance)
+    after = Diagnosers._make([*(x for pair in zip(*kept, strict=True) for x in pair), covariance])
     if areas.partly_read:
-        a = areas.arrays("corrected")
+        a, shape = areas.arrays("corrected"), own.shape[-2:]
         flat = [x.reshape(prod(batch), *x.shape[len(batch) :]) for x in after]
-        memory = _flat(predicted.memory, batch, (count, n))
-        model = a.closed, a.noise, a.unread, a.unread_shared, a.gain, a.start, a.opposite
-        equations.correct_areas(*model, memory, *flat)
+        given = _flat(own, batch, shape), _flat(predicted.ahead, batch, shape).copy()
+        equations.take_unread(a.noise, a.closed, a.received, a.start, a.opposite, *given, *flat)
     return after
 
 

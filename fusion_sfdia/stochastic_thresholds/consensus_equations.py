@@ -34,25 +34,26 @@ A missing reading is replaced by the estimate, e and s by 0, and its noise by `e
 of x - x_hat. This error correlates with the other terms, so error bounds are added instead of variances:
 sd(chi) <= sqrt(variance of the readings) + sum of |coefficient| error_bound.
 
-States without a sensor. B18 has y = x + rho, (4): all states of an area are read. An area whose sensors read only some of its
-states estimates the others with the gain K from what is new in its readings, chi = e - lam e of the last step:
+Unread states (ours: B18 reads all states of an area, (4)). The area keeps the covariance Sigma of x - x_bar of all its states,
+where x_bar is y of a state that it reads, as in (5), and of the others an estimate with the gain K:
 
-    x_hat+ = f(x_bar) - lam e,   chi+ = y+ - f(x_bar)        x_bar: y of a state that is read, see (5)
-    x_bar  = x_hat + K chi                                   of a state that is not, where e = 0
-    M      = F Sigma F' + g g' sum_j P_ij^2 sigma_j^2 + Q,   Sigma = (1 - K C) M (1 - K C)' + K R K'
+    chi+   = y+ - f(x_bar),   x_bar+ = f(x_bar) + K chi+ of an unread state,   K = M_ur (M_rr + R)^-1
+    M      = F Sigma F' + g g' sum_j P_ij^2 sigma_j^2 + Q     the covariance of x+ - f(x_bar), where F_00 stands for W_i F_00,
+                                                              and Q_00 has a^2 sum_j W_j^2 sigma_j^2 of the neighbours' copies
+    Sigma+ = (1 - K C) M (1 - K C)' + K R K'                  with a unit row of K for each state that is read
 
-with a row of K that is a unit row for each state that is read, whose held value is its reading. M is the covariance of
-x+ - f(x_bar), Sigma that of x - x_bar. So L = F K of an observer with the error matrix F - L C; with C = 1, K = 1 and L = F - lam
-the observer is (5). (14) holds with Var[chi] = M_rr + sigma^2, as s+ = lam s + sd(chi) holds for any correlation of the chi. The
-paper gives no gain: see unread_states. Sigma is exact where the area reads its neighbours' first states or receives their
-readings: these are new in each step. Errors of values that are estimates (a neighbour's first state that no sensor reads, a
-missing reading) correlate with all others. Sigma then has a bound, by the triangle inequality of root mean squares: with C_l the
-covariances of the parts of a sum,
+u the unread states, r those that are read. These keep their readings, so K is the Kalman gain of the unread states only, whose
+errors correlate with the noise of the readings that corrected them, Sigma_ur = K R. (14), (15) have Var[chi] = M_rr + R, and
+(17) v_i = Sigma_00 of the area's own value. A reading that is missing makes its state unread for a step. Where all are read,
+Sigma is R, and these are the equations above. A neighbour without a sensor of z_i has no weight; it receives the value that the
+area holds, with the noise of its reading, or with the error bound sqrt(Sigma_00) of its estimate.
 
-    cov <= T sum_l C_l / t_l,   t_l = sqrt(trace C_l),   T = sum_l t_l
+The error of a neighbour's value that is an estimate, whose root mean square is at most error_bound, correlates with Sigma. With
+A + B for the error of f(x_bar), B = g sum_j P_ij (z_j - held_j) of such neighbours, and mean squares of at most t_A^2, t_B^2,
 
-A first state that its area does not read is one more term of (6), with v = Sigma_00 in (17). A neighbour without a sensor of it
-sends no bracket: W = 0. It receives the value that the area holds.
+    E[(A + B)(A + B)'] <= (t_A + t_B) (E[A A'] / t_A + E[B B'] / t_B)
+
+bounds M: v'(A + B) has at most the sum of the root mean squares of v'A and v'B, whose square Cauchy's inequality bounds.
 
 Layout, as in network.py: own readings (B, N, 4); sides (2E,), those of area i from start[i] to start[i + 1], each with the
 reading of z of `neighbour[side]`; slope (2E,), 0 where the tie is open. The copies of z_i are own[i, 0] and the copies at
@@ -69,7 +70,7 @@ from fusion_sfdia.core.equation import compiled, equation
 
 UNKNOWN = 1e100  # an error bound without information: such residuals are not tested
 ENOUGH = UNKNOWN**0.5  # deviations below this are of known readings
-CERTAIN = 1 / UNKNOWN  # least variance of an estimate in a weight
+FAR = 1e5  # standard deviation of an unread state without information, over the largest of the area's noise
 
 
 @equation
@@ -128,9 +129,9 @@ def residual_deviation(memory: Any, variance: Any, process_variance: Any, noise:
 
 @equation
 def find_terms(
-    b: Any, i: Any, error_bound: Any, error_bound_shared: Any, covariance: Any, partly: Any, printed: Any, matrices: Any,
-    slope: Any, closed: Any, process_variance: Any, noise: Any, shared_noise: Any, unread: Any, unread_shared: Any, start: Any,
-    opposite: Any, area_terms: Any, side_terms: Any, row: Any, shift: Any,
+    b: Any, i: Any, error_bound: Any, error_bound_shared: Any, printed: Any, matrices: Any, slope: Any, closed: Any,
+    process_variance: Any, noise: Any, shared_noise: Any, received: Any, start: Any, opposite: Any, area_terms: Any,
+    side_terms: Any, row: Any, shift: Any,
 ) -> None:  # fmt: skip
     """Write weights and deviations of area i to area_terms[row] and, for each side, to side_terms[side + shift].
 
@@ -152,8 +153,6 @@ def find_terms(
             F = matrices[i, r, c]
             variance += F * F * noise_read(noise[i, c], error_bound[b, i, c])
             d += abs(F) * error_bound[b, i, c]
-        if partly and r:
-            variance += spread(matrices[i, r], matrices[i, r], 1.0, 1.0, covariance[b, i])
         if r == 0:
             drive_variance, drive_bound = variance, d
         else:
@@ -161,16 +160,13 @@ def find_terms(
             area_terms[row, 1 + n + r] = error_deviation(0.0, variance, q, d)
 
     a, q, v, d = matrices[i, 0, 0], process_variance[i, 0], noise[i, 0], error_bound[b, i, 0]
-    if unread[i, 0]:
-        v = max(covariance[b, i, 0, 0], CERTAIN)
     own = precision_printed(v, d, a, drive_variance, q) if printed else precision_read(v, d)
     total = 0.0
     for side in range(start[i], start[i + 1]):
         if closed[side]:
             v, d = shared_noise[opposite[side]], error_bound_shared[b, opposite[side]]
             precision = precision_printed(v, d, a, drive_variance, q) if printed else precision_read(v, d)
-            if unread_shared[opposite[side]]:
-                precision = 0.0
+            precision = 0.0 if received[opposite[side]] else precision
             side_terms[side + shift, 0] = precision
             total += precision
     total += own
@@ -185,8 +181,6 @@ def find_terms(
             bracket += W * W * printed_variance(v, d, a, drive_variance, q)
     W, v, d = own / total, noise[i, 0], error_bound[b, i, 0]
     variance = a * a * (W * W * noise_read(v, d) + variance) + drive_variance
-    if partly:
-        variance += spread(matrices[i, 0], matrices[i, 0], W, W, covariance[b, i])
     agreed_bound = abs(a) * (W * d + agreed_bound) + drive_bound
     bracket += W * W * printed_variance(v, d, a, drive_variance, q)
     as_printed = np.sqrt(bracket) + agreed_bound
@@ -198,123 +192,107 @@ def find_terms(
         side_terms[side + shift, 1] = as_printed if printed else residual_deviation(0.0, variance, q, v, agreed_bound)
 
 
-@equation
-def spread(F: Any, G: Any, weight_F: Any, weight_G: Any, covariance: Any) -> Any:
-    """F Sigma G' of two rows of the model, whose first entries have weights."""
-    n = covariance.shape[0]
-    total = 0.0
-    for c in range(n):
-        for k in range(n):
-            total += F[c] * (weight_F if c == 0 else 1.0) * covariance[c, k] * G[k] * (weight_G if k == 0 else 1.0)
-    return total
-
-
 @compiled
-def find_prior(
-    b: Any, i: Any, error_bound: Any, error_bound_shared: Any, covariance: Any, matrices: Any, slope: Any, closed: Any,
-    process_variance: Any, noise: Any, shared_noise: Any, start: Any, opposite: Any, area_terms: Any, side_terms: Any, row: Any,
+def find_partly_terms(
+    b: Any, i: Any, error_bound_shared: Any, covariance: Any, matrices: Any, slope: Any, closed: Any, process_variance: Any,
+    noise: Any, shared_noise: Any, received: Any, start: Any, opposite: Any, area_terms: Any, side_terms: Any, row: Any,
     shift: Any, M: Any,
 ) -> None:  # fmt: skip
-    """Write M (n, n), the covariance of x+ - f(x_bar) of area i, or its bound, with the weights of find_terms."""
-    n = error_bound.shape[2]
-    inflow_variance, inflow_bound, agreed_variance, agreed_bound = 0.0, 0.0, 0.0, 0.0
+    """As find_terms, of an area that does not read all its states; also write M (n, n), or its bound."""
+    n = noise.shape[1]
+    own = 1.0 / max(covariance[b, i, 0, 0], 1.0 / UNKNOWN)
+    inflow_variance, bound, total, agreed = 0.0, 0.0, own, 0.0
     for side in range(start[i], start[i + 1]):
         if closed[side]:
-            P, d = slope[side], error_bound_shared[b, side]
+            P, d, k = slope[side], error_bound_shared[b, side], opposite[side]
             inflow_variance += P * P * noise_read(shared_noise[side], d)
-            inflow_bound += abs(P) * d
-            W, v, d = side_terms[side + shift, 0], shared_noise[opposite[side]], error_bound_shared[b, opposite[side]]
-            agreed_variance += W * W * noise_read(v, d)
-            agreed_bound += W * d
-    a, own = matrices[i, 0, 0], area_terms[row, 0]
-    trace = 0.0
+            bound += abs(P) * d
+            of_reading = error_bound_shared[b, k] == 0.0 and not received[k]
+            side_terms[side + shift, 0] = 1.0 / shared_noise[k] if of_reading else 0.0
+            total += side_terms[side + shift, 0]
+    for side in range(start[i], start[i + 1]):
+        if closed[side]:
+            side_terms[side + shift, 0] /= total
+            agreed += side_terms[side + shift, 0] ** 2 * shared_noise[opposite[side]]
+    area_terms[row, 0] = own / total
+    F, g, a, length, size = matrices[i, :, :n].copy(), matrices[i, :, n + 1], matrices[i, 0, 0], 0.0, 0.0
+    F[0, 0] *= own / total
     for r in range(n):
+        length += g[r] * g[r]
         for k in range(n):
-            W_r, W_k = own if r == 0 else 1.0, own if k == 0 else 1.0
-            m = spread(matrices[i, r], matrices[i, k], W_r, W_k, covariance[b, i])
-            m += matrices[i, r, n + 1] * matrices[i, k, n + 1] * inflow_variance
+            M[r, k] = g[r] * g[k] * inflow_variance
             for c in range(n):
-                w = W_r * W_k if c == 0 else 1.0
-                m += matrices[i, r, c] * matrices[i, k, c] * w * noise_read(noise[i, c], error_bound[b, i, c])
-            M[r, k] = m
-        M[r, r] += process_variance[i, r] + (a * a * agreed_variance if r == 0 else 0.0)
-        trace += M[r, r]
-    # parts of the error that correlate with all others: of each missing reading, of the copies in (6), of the inflow
-    first, total = np.sqrt(trace), np.sqrt(trace) + abs(a) * agreed_bound
-    size = np.zeros(n + 1)
-    for c in range(n + 1):
-        for r in range(n):
-            F = matrices[i, r, c if c < n else n + 1] * (own if r == 0 and c == 0 else 1.0)
-            size[c] += F * F
-        size[c] = np.sqrt(size[c]) * (error_bound[b, i, c] if c < n else inflow_bound)
-        total += size[c]
-    if total > first:
+                for j in range(n):
+                    M[r, k] += F[r, c] * covariance[b, i, c, j] * F[k, j]
+        M[r, r] += process_variance[i, r] + (a * a * agreed if r == 0 else 0.0)
+        size += M[r, r]
+        area_terms[row, 1 + r] = residual_deviation(0.0, M[r, r], 0.0, noise[i, r], abs(g[r]) * bound)
+        area_terms[row, 1 + n + r] = error_deviation(0.0, M[r, r], 0.0, abs(g[r]) * bound)
+    for side in range(start[i], start[i + 1]):
+        v = shared_noise[opposite[side]]
+        side_terms[side + shift, 1] = residual_deviation(0.0, M[0, 0], 0.0, v, abs(g[0]) * bound)
+    far = far_of(noise[i], process_variance[i])
+    t_A, t_B = np.sqrt(size), min(np.sqrt(length) * bound, far)
+    if t_B > 0.0:
         for r in range(n):
             for k in range(n):
-                m = M[r, k] / first if first > 0.0 else 0.0
-                for c in range(n + 1):
-                    if size[c] > 0.0:
-                        d = error_bound[b, i, c] if c < n else inflow_bound
-                        F = matrices[i, r, c if c < n else n + 1] * (own if r == 0 and c == 0 else 1.0)
-                        G = matrices[i, k, c if c < n else n + 1] * (own if k == 0 and c == 0 else 1.0)
-                        m += F * d * (G * d / size[c])
-                M[r, k] = m * total
-        M[0, 0] += abs(a) * agreed_bound * total
-    if total > UNKNOWN:
+                A = M[r, k] / t_A if t_A > 0.0 else 0.0
+                M[r, k] = (t_A + t_B) * (A + g[r] * g[k] / length * t_B)
+    if not t_A <= n * far:  # without information, such as of an area that has been unplugged for long
+        M[:] = 0.0
         for r in range(n):
-            for k in range(n):
-                M[r, k] *= (UNKNOWN / total) ** 2
-
-
-@compiled
-def correct(held: Any, M: Any, gain: Any, noise: Any, unread: Any, residual: Any, memory: Any, s: Any) -> None:
-    """Correct the estimates of unread states in held (n) with chi = residual - memory of the readings that are known (s > 0);
-    M (n, n) becomes the covariance of the errors of these states, with each other and with the readings."""
-    n = held.size
-    kept, prior = np.zeros((n, n)), M.copy()
-    for r in range(n):
-        if unread[r]:
-            kept[r, r] = 1.0
-            for c in range(n):
-                if not unread[c] and s[c] > 0.0:
-                    kept[r, c] = -gain[r, c]
-                    held[r] += gain[r, c] * (residual[c] - memory[c])
-    for r in range(n):
-        for k in range(n):
-            M[r, k] = spread(kept[r], kept[k], 1.0, 1.0, prior)  # 0 of a state that is read
-            for c in range(n):
-                if not unread[c] and s[c] > 0.0:
-                    M[r, k] += kept[r, c] * kept[k, c] * noise[c]
-            if unread[r] and not unread[k]:
-                M[r, k] = -kept[r, k] * noise[k]
-            if unread[k] and not unread[r]:
-                M[r, k] = -kept[k, r] * noise[r]
+            M[r, r] = far * far
 
 
 @equation
-def sent(b: Any, k: Any, value: Any, error_bound: Any, variance: Any, h_shared: Any, d_shared: Any, e_shared: Any,
-         s_shared: Any) -> None:  # fmt: skip
-    """What the area at side k, without a sensor of its neighbour's first state, receives of it; variance: Sigma_00."""
-    h_shared[b, k], d_shared[b, k] = value, min(error_bound + np.sqrt(variance), UNKNOWN)
-    e_shared[b, k], s_shared[b, k] = 0.0, 0.0
+def far_of(noise: Any, process_variance: Any) -> Any:
+    """The standard deviation of states of an area without information."""
+    largest = 0.0
+    for c in range(noise.size):
+        largest = max(largest, process_variance[c], noise[c] if np.isfinite(noise[c]) else 0.0)
+    return FAR * np.sqrt(largest)
 
 
 @compiled
-def correct_areas(
-    closed: Any, noise: Any, unread: Any, unread_shared: Any, gain: Any, start: Any, opposite: Any, memory: Any, h: Any,
-    h_shared: Any, d: Any, d_shared: Any, e: Any, e_shared: Any, s: Any, s_shared: Any, covariance: Any,
+def estimate_unread(y: Any, ahead: Any, noise: Any, held: Any, P: Any) -> Any:
+    """Write estimates of states without a reading y (n) to held, from f(x_bar) in ahead; P: M before, Sigma afterwards.
+
+    One reading after the other, for their noise is independent. Returns a bound of the deviation of held z, 0 for a reading.
+    """
+    n = y.size
+    for c in range(n):
+        if np.isfinite(y[c]) and np.isfinite(noise[c]):
+            variance, new = P[c, c] + noise[c], y[c] - ahead[c]
+            column = P[:, c].copy()
+            for r in range(n):
+                ahead[r] += column[r] / variance * new
+                for k in range(n):
+                    P[r, k] -= column[r] * column[k] / variance
+    for c in range(n):
+        if np.isfinite(y[c]) and np.isfinite(noise[c]):
+            for k in range(n):  # P_ur is K R
+                if np.isfinite(y[k]) and np.isfinite(noise[k]):
+                    P[c, k] = noise[c] if c == k else 0.0
+        else:
+            held[c], P[c, c] = ahead[c], max(P[c, c], 0.0)
+    return 0.0 if np.isfinite(y[0]) and np.isfinite(noise[0]) else np.sqrt(P[0, 0])
+
+
+@compiled
+def take_unread(
+    noise: Any, closed: Any, received: Any, start: Any, opposite: Any, own: Any, ahead: Any, h: Any, h_shared: Any, d: Any,
+    d_shared: Any, e: Any, e_shared: Any, s: Any, s_shared: Any, covariance: Any,
 ) -> None:  # fmt: skip
-    """Correct estimates of unread states in the diagnosers h to covariance after take_readings; memory: of the prediction."""
-    runs, areas, n = h.shape
-    for b in range(runs):
-        for i in range(areas):
-            if np.any(unread[i]):
-                correct(h[b, i], covariance[b, i], gain[i], noise[i], unread[i], e[b, i], memory[b, i], s[b, i])
+    """Complete the diagnosers h to s_shared after take_readings: estimates of unread states, and what areas send of them."""
+    for b in range(h.shape[0]):
+        for i in range(h.shape[1]):
+            bound = d[b, i, 0]
+            if not np.all(np.isfinite(noise[i])):
+                bound = estimate_unread(own[b, i], ahead[b, i], noise[i], h[b, i], covariance[b, i])
             for side in range(start[i], start[i + 1]):
                 k = opposite[side]
-                if closed[side] and unread_shared[k]:
-                    variance = covariance[b, i, 0, 0] if unread[i, 0] else 0.0
-                    sent(b, k, h[b, i, 0], d[b, i, 0], variance, h_shared, d_shared, e_shared, s_shared)
+                if closed[side] and received[k]:
+                    h_shared[b, k], d_shared[b, k], e_shared[b, k], s_shared[b, k] = h[b, i, 0], bound, 0.0, 0.0
 
 
 @equation
@@ -337,17 +315,18 @@ def take_readings(y: Any, held: Any, error_bound: Any, residual: Any, s: Any) ->
 def step_areas(
     held: Any, held_shared: Any, error_bound: Any, error_bound_shared: Any, residual: Any, residual_shared: Any, deviation: Any,
     deviation_shared: Any, covariance: Any, reference: Any, load: Any, lam: Any, printed: Any, matrices: Any, slope: Any,
-    closed: Any, process_variance: Any, noise: Any, shared_noise: Any, unread: Any, unread_shared: Any, gain: Any, start: Any,
-    opposite: Any, reader: Any, known: Any, area_terms: Any, side_terms: Any, alpha: Any, own: Any, shared: Any, h: Any,
-    h_shared: Any, d: Any, d_shared: Any, e: Any, e_shared: Any, s: Any, s_shared: Any, covariance_after: Any, alarm: Any,
+    closed: Any, process_variance: Any, noise: Any, shared_noise: Any, received: Any, start: Any, opposite: Any, reader: Any,
+    known: Any, area_terms: Any, side_terms: Any, alpha: Any, own: Any, shared: Any, h: Any, h_shared: Any, d: Any,
+    d_shared: Any, e: Any, e_shared: Any, s: Any, s_shared: Any, covariance_after: Any, alarm: Any,
 ) -> Any:  # fmt: skip
     """Write the diagnosers after the readings own (B, N, n) and shared (B, 2E), under reference and load (B, N).
 
-    h to covariance_after: the Diagnosers after; without readings, given by arrays of no runs, estimates, error bounds, lam e and
-    deviations of the next ones, and M. printed: (15), (17) as printed. alarm (B, N + K), False before: whether |residual| > alpha deviation for any
-    reading of an area, own or of a neighbour's first state; K columns for the copies behind the sides of the N areas, each read
-    in another part. All copies of z_i are treated with area i: it needs the copies at its sides and at the opposite sides, and
-    writes the latter. Returns whether the shapes fit; if they do not, nothing is written.
+    h to covariance_after: the Diagnosers after; without readings, given by arrays of no runs, estimates, error bounds, f(x_bar)
+    of areas with unread states, deviations of the next ones, and M. printed: (15), (17) as printed. alarm (B, N + K), False
+    before: whether |residual| > alpha deviation for any reading of an area, own or of a neighbour's first state; K columns for
+    the copies behind the sides of the N areas, each read in another part. All copies of z_i are treated with area i: it needs
+    the copies at its sides and at the opposite sides, and writes the latter. Returns whether the shapes fit; if they do not,
+    nothing is written.
     """
     runs, areas, n = held.shape
     read = own.shape[0] > 0
@@ -357,16 +336,16 @@ def step_areas(
     fits &= error_bound.shape == residual.shape == deviation.shape == h.shape == d.shape == e.shape == s.shape == held.shape
     fits &= error_bound_shared.shape == residual_shared.shape == deviation_shared.shape == held_shared.shape
     fits &= h_shared.shape == d_shared.shape == e_shared.shape == s_shared.shape == held_shared.shape
-    fits &= covariance.shape == covariance_after.shape
-    fits &= gain.shape[0] == 0 or (gain.shape == matrices[:, :, :n].shape and covariance.shape == (runs, areas, n, n))
+    some = covariance.shape[2] > 0  # whether any state is not read
+    fits &= covariance.shape == covariance_after.shape and (not some or covariance.shape == (runs, areas, n, n))
     if not fits:
         return False
-    memories, some = np.zeros(n), gain.shape[0] > 0  # some: whether any state is not read
+    ahead = np.zeros(n)
     for b in range(runs):
         for i in range(areas):
             first, past, row, shift = start[i], start[i + 1], i, 0
-            partly = some and np.any(unread[i])
-            inflow, complete = 0.0, not partly  # complete: all values that are used of the states of the area and of its neighbours
+            partly = some and not np.all(np.isfinite(noise[i]))
+            inflow, complete = 0.0, not partly  # complete: all values used of the states of the area and of its neighbours
             for c in range(n):
                 complete &= error_bound[b, i, c] == 0.0
             for side in range(first, past):
@@ -375,32 +354,32 @@ def step_areas(
                     complete &= error_bound_shared[b, side] == 0.0 and error_bound_shared[b, opposite[side]] == 0.0
             if not complete:
                 row, shift = areas, start[areas] - first  # behind the terms of all areas
-            if not (complete and known[i]):
-                find_terms(
-                    b, i, error_bound, error_bound_shared, covariance, partly, printed, matrices, slope, closed,
-                    process_variance, noise, shared_noise, unread, unread_shared, start, opposite, area_terms, side_terms, row,
-                    shift,
-                )  # fmt: skip
-                known[i] |= complete
             if partly:
-                find_prior(
-                    b, i, error_bound, error_bound_shared, covariance, matrices, slope, closed, process_variance, noise,
-                    shared_noise, start, opposite, area_terms, side_terms, row, shift, covariance_after[b, i],
+                find_partly_terms(
+                    b, i, error_bound_shared, covariance, matrices, slope, closed, process_variance, noise, shared_noise,
+                    received, start, opposite, area_terms, side_terms, row, shift, covariance_after[b, i],
                 )  # fmt: skip
             elif some:
                 covariance_after[b, i] = 0.0
+            if not partly and not (complete and known[i]):
+                find_terms(
+                    b, i, error_bound, error_bound_shared, printed, matrices, slope, closed, process_variance, noise,
+                    shared_noise, received, start, opposite, area_terms, side_terms, row, shift,
+                )  # fmt: skip
+                known[i] |= complete
             drive, crossed = 0.0, False
             for r in range(n):
                 value = matrices[i, r, n] * reference[b, i] + matrices[i, r, n + 1] * (inflow - load[b, i])
                 for c in range(0 if r else 1, n):
                     value += matrices[i, r, c] * held[b, i, c]
+                ahead[r] = value
                 if r == 0:
                     drive = value
                     continue
                 memory = lam * deviation[b, i, r]
                 x = (
                     private_term(value, residual[b, i, r], lam),
-                    0.0 if partly and unread[i, r] else min(memory + area_terms[row, 1 + n + r], UNKNOWN),
+                    0.0 if partly else min(memory + area_terms[row, 1 + n + r], UNKNOWN),
                     0.0,
                     (memory + area_terms[row, 1 + r]),
                 )
@@ -418,23 +397,22 @@ def step_areas(
             agreed += W * shared_term(held[b, i, 0], drive, residual[b, i, 0], a, lam)
             memory = lam * (W * deviation[b, i, 0] + memory)
             bound = min(memory + area_terms[row, 1 + n], UNKNOWN)
-            x = agreed, 0.0 if partly and unread[i, 0] else bound, 0.0, memory + area_terms[row, 1]
+            x = agreed, 0.0 if partly else bound, 0.0, memory + area_terms[row, 1]
             if read:
                 x = taken(own[b, i, 0], x[0], x[1], x[3])
             h[b, i, 0], d[b, i, 0], e[b, i, 0], s[b, i, 0] = x
             crossed |= abs(x[2]) > alpha * x[3]
             alarm[b, i] |= crossed
+            held_bound = d[b, i, 0]
             if partly:
-                memories[1:] = lam * residual[b, i, 1:]
-                memories[0] = W * lam * residual[b, i, 0]
+                ahead[0] += W * a * held[b, i, 0]
                 for side in range(first, past):
                     if closed[side]:
-                        memories[0] += side_terms[side + shift, 0] * lam * residual_shared[b, opposite[side]]
-                if not read:
-                    e[b, i] = memories
-            if read and partly:
-                correct(h[b, i], covariance_after[b, i], gain[i], noise[i], unread[i], e[b, i], memories, s[b, i])
-            variance = covariance_after[b, i, 0, 0] if partly and unread[i, 0] else 0.0
+                        ahead[0] += side_terms[side + shift, 0] * a * held_shared[b, opposite[side]]
+                if read:
+                    held_bound = estimate_unread(own[b, i], ahead, noise[i], h[b, i], covariance_after[b, i])
+                else:
+                    e[b, i] = ahead
             for side in range(first, past):
                 k = opposite[side]
                 x = held_shared[b, k], UNKNOWN, 0.0, UNKNOWN
@@ -444,6 +422,6 @@ def step_areas(
                     x = taken(shared[b, k], x[0], x[1], x[3])
                 h_shared[b, k], d_shared[b, k], e_shared[b, k], s_shared[b, k] = x
                 alarm[b, reader[side]] |= abs(x[2]) > alpha * x[3]
-                if some and read and closed[side] and unread_shared[k]:
-                    sent(b, k, h[b, i, 0], d[b, i, 0], variance, h_shared, d_shared, e_shared, s_shared)
+                if some and read and closed[side] and received[k]:
+                    h_shared[b, k], d_shared[b, k], e_shared[b, k], s_shared[b, k] = h[b, i, 0], held_bound, 0.0, 0.0
     return True

@@ -95,8 +95,8 @@ class FaultHypotheses:
         self._area  # noqa: B018 - checks that the area is known
         if self.areas.partly_read:
             raise ValueError(
-                f"no sensor of its area reads {self.areas.unread_names}; fault functions are isolated where all states are read: "
-                "add these sensors"
+                f"no sensor of its area reads {self.areas.unread_names}; fault functions are isolated only where all states "
+                "are read: add these sensors"
             )
 
     @property
@@ -136,7 +136,9 @@ class FaultHypotheses:
         ValueError for diagnosers that estimate unread states.
         """
         if now.covariance.size:
-            raise ValueError("these diagnosers estimate unread states; fault functions are isolated where all states are read")
+            raise ValueError(
+                "these diagnosers estimate unread states; fault functions are isolated only where all states are read"
+            )
         chosen = np.asarray(runs, bool)[:, None, None]
         return Isolation(
             np.where(chosen, self._of_area(now.held, now.held_shared), state.held),

@@ -36,6 +36,7 @@ def network_step(
         out = Diagnosers(*map(np.empty_like, state))
     alarm = np.zeros(reference.shape, bool)
     misread = len(own) != len(reference) or any(map(is_, state, out))  # without any readings the loop would only predict
+    misread |= (state.covariance.shape[-1] > 0) != areas.partly_read
     if misread or not consensus_equations.step_areas(
         *state, reference, load, lam, mode == "paper", *areas.arrays(mode), alpha, own, shared, *out, alarm
     ):

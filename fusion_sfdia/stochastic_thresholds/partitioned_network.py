@@ -72,7 +72,8 @@ class PartitionedNetwork:
         count, n, sides = self._size
         batch = len(kept[0].held)
         covariance = np.empty((batch, count, *kept[0].covariance.shape[2:]))
-        whole = Diagnosers(*(np.empty((batch, sides) if k % 2 else (batch, count, n)) for k in range(8)), covariance)
+        values = [np.empty((batch, sides) if k % 2 else (batch, count, n)) for k in range(8)]
+        whole = Diagnosers._make([*values, covariance])
         for layout, part in zip(self._parts, kept, strict=True):
             lo, hi = layout.areas
             mine = np.setdiff1d(
