@@ -30,7 +30,7 @@ def test_an_area_uses_only_its_own_data_and_what_neighbours_send() -> None:
             keep[:, near, 0] = True  # brackets of what they share
             if k in (0, 2):
                 keep[:, near] = True  # in the drive, with the readings at their other sides
-        else:
+        elif a.ndim == 2:
             keep[:, about | mine] = True
             if k in (1, 3):
                 keep[:, theirs] = True

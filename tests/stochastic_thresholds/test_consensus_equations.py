@@ -125,7 +125,10 @@ def test_weights_minimise_the_variance_and_do_not_depend_on_the_receiver() -> No
     now = initial_state(unlike, (1,))
     zero = np.zeros((1, 15))
     now = take(
-        unlike, predict(unlike, now, zero, zero, 0.0, "corrected"), rng.standard_normal((1, 15, 4)), rng.standard_normal((1, 34))
+        unlike,
+        predict(unlike, now, zero, zero, 0.0, "corrected"),
+        rng.standard_normal((1, 15, 4)),
+        rng.standard_normal((1, 34)),
     )
     ahead = predict(unlike, now, zero, zero, 0.0, "corrected")
     np.testing.assert_array_equal(ahead.estimate_shared, ahead.estimate[:, AT.neighbour, 0])
@@ -158,7 +161,9 @@ def test_each_reading_has_its_weight_in_the_estimate(mode: str) -> None:
     rng, i, zero = np.random.default_rng(4), AT.index("5"), np.zeros((1, 15))
     shared_noise = rng.uniform(1e-6, 1e-1, 34)
     unlike = replace(AREAS, noise=rng.uniform(1e-4, 1e-1, AREAS.noise.shape), shared_noise=shared_noise)
-    at_zero = take(unlike, predict(unlike, initial_state(unlike, (1,)), zero, zero, 0.0, mode), np.zeros((1, 15, 4)), np.zeros((1, 34)))
+    at_zero = take(
+        unlike, predict(unlike, initial_state(unlike, (1,)), zero, zero, 0.0, mode), np.zeros((1, 15, 4)), np.zeros((1, 34))
+    )
     copies = AREAS.opposite[AREAS.network.sides(i)]
 
     def estimate(reading: int) -> float:
