@@ -80,18 +80,22 @@ class NetworkReadings(NamedTuple):
 def initial_state(areas: Areas, batch: tuple[int, ...]) -> Diagnosers:
     """Return diagnosers without information for a batch of runs.
 
-    Each copy starts from its first reading and is tested from the second on. States of an area with unread states start with a
-    large covariance (far_of), which its first readings reduce: give `held` and `covariance` where they are known.
+    Each copy starts from its first reading and is tested from the second on. States of an area with unread states start with
+    FAR times the deviation that noise gives them in n steps: give `held` and `covariance` where they are known.
     """
     count, n, sides = areas.size
     own, shared = np.zeros((*batch, count, n)), np.zeros((*batch, sides))
     unknown = np.full_like(own, UNKNOWN), np.full_like(shared, UNKNOWN)
     covariance = np.zeros((*batch, count, 0, 0))
     if areas.partly_read:
-        some = np.any(areas.unread, axis=1)
-        far = [equations.far_of(*noise) for noise in zip(areas.noise, areas.process_variance, strict=True)]
-        covariance = np.zeros((*batch, count, n, n)) + np.where(some, far, 0.0)[:, None, None] ** 2 * np.eye(n)
-        unknown[0][..., some, :] = 0.0
+        unknown[0][..., np.any(areas.unread, axis=1), :] = 0.0
+        zero = np.zeros((1, count, n)), np.zeros((1, sides))
+        now = Diagnosers(*zero, *zero, *zero, *zero, np.zeros((1, count, n, n)))
+        for _ in range(n):
+            now = after_readings(areas, now)
+        variance = np.diagonal(now.covariance[0], axis1=-2, axis2=-1)
+        variance = np.where(variance > 0, variance, np.max(variance, axis=-1, keepdims=True))
+        covariance = np.zeros((*batch, count, n, n)) + equations.FAR**2 * variance[..., None] * np.eye(n)
     return Diagnosers(own, shared, *unknown, own.copy(), shared.copy(), own.copy(), shared.copy(), covariance)
 
 
@@ -144,6 +148,13 @@ def take(areas: Areas, predicted: Prediction, own: Array, shared: Array) -> Diag
         given = _flat(own, batch, shape), _flat(predicted.ahead, batch, shape).copy()
         equations.take_unread(a.noise, a.closed, a.received, a.start, a.opposite, *given, *flat)
     return after
+
+
+def after_readings(areas: Areas, now: Diagnosers) -> Diagnosers:
+    """Return the diagnosers (1, ...) after a reading of 0 of each sensor: their covariance does not depend on values."""
+    still = np.zeros((1, areas.size[0]))
+    own, shared = np.where(areas.unread, np.nan, 0.0)[None], np.where(areas.received, np.nan, 0.0)[None]
+    return take(areas, predict(areas, now, still, still, 0.0, "corrected"), own, shared)
 
 
 def _flat(a: Array, batch: tuple[int, ...], shape: tuple[int, ...]) -> Array:

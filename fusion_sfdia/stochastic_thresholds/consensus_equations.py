@@ -49,11 +49,12 @@ Sigma is R, and these are the equations above. A neighbour without a sensor of z
 area holds, with the noise of its reading, or with the error bound sqrt(Sigma_00) of its estimate.
 
 The error of a neighbour's value that is an estimate, whose root mean square is at most error_bound, correlates with Sigma. With
-A + B for the error of f(x_bar), B = g sum_j P_ij (z_j - held_j) of such neighbours, and mean squares of at most t_A^2, t_B^2,
+A + B for the error of f(x_bar), B = g sum_j P_ij (z_j - held_j) of such neighbours,
 
-    E[(A + B)(A + B)'] <= (t_A + t_B) (E[A A'] / t_A + E[B B'] / t_B)
+    E[(A + B)(A + B)'] <= (1 + tau) E[A A'] + (1 + 1 / tau) E[B B']     for any tau > 0, since 2 a b <= tau a^2 + b^2 / tau
 
-bounds M: v'(A + B) has at most the sum of the root mean squares of v'A and v'B, whose square Cauchy's inequality bounds.
+bounds M. tau is the ratio of the sizes of B and A, which makes the bound least; sizes are relative to both in each state, so
+that units do not matter.
 
 Layout, as in network.py: own readings (B, N, 4); sides (2E,), those of area i from start[i] to start[i + 1], each with the
 reading of z of `neighbour[side]`; slope (2E,), 0 where the tie is open. The copies of z_i are own[i, 0] and the copies at
@@ -70,7 +71,7 @@ from fusion_sfdia.core.equation import compiled, equation
 
 UNKNOWN = 1e100  # an error bound without information: such residuals are not tested
 ENOUGH = UNKNOWN**0.5  # deviations below this are of known readings
-FAR = 1e5  # standard deviation of an unread state without information, over the largest of the area's noise
+FAR = 1e4  # standard deviation of a state without information, over that with it
 
 
 @equation
@@ -215,42 +216,36 @@ def find_partly_terms(
             side_terms[side + shift, 0] /= total
             agreed += side_terms[side + shift, 0] ** 2 * shared_noise[opposite[side]]
     area_terms[row, 0] = own / total
-    F, g, a, length, size = matrices[i, :, :n].copy(), matrices[i, :, n + 1], matrices[i, 0, 0], 0.0, 0.0
+    F, g, a = matrices[i, :, :n].copy(), matrices[i, :, n + 1], matrices[i, 0, 0]
     F[0, 0] *= own / total
     for r in range(n):
-        length += g[r] * g[r]
         for k in range(n):
             M[r, k] = g[r] * g[k] * inflow_variance
             for c in range(n):
                 for j in range(n):
                     M[r, k] += F[r, c] * covariance[b, i, c, j] * F[k, j]
-        M[r, r] += process_variance[i, r] + (a * a * agreed if r == 0 else 0.0)
-        size += M[r, r]
+        M[r, r] = max(M[r, r], 0.0) + process_variance[i, r] + (a * a * agreed if r == 0 else 0.0)
         area_terms[row, 1 + r] = residual_deviation(0.0, M[r, r], 0.0, noise[i, r], abs(g[r]) * bound)
         area_terms[row, 1 + n + r] = error_deviation(0.0, M[r, r], 0.0, abs(g[r]) * bound)
     for side in range(start[i], start[i + 1]):
         v = shared_noise[opposite[side]]
         side_terms[side + shift, 1] = residual_deviation(0.0, M[0, 0], 0.0, v, abs(g[0]) * bound)
-    far = far_of(noise[i], process_variance[i])
-    t_A, t_B = np.sqrt(size), min(np.sqrt(length) * bound, far)
+    t_A, t_B = 0.0, 0.0
+    for r in range(n):
+        A, B = M[r, r], (g[r] * bound) ** 2
+        if B > 0.0:
+            t_A, t_B = t_A + A / (A + B), t_B + B / (A + B)
     if t_B > 0.0:
+        tau = np.sqrt(t_B / t_A) if t_A > 0.0 else FAR
+        bound, tau = bound * min(1.0, FAR / tau), min(tau, FAR)  # beyond, the neighbour's value is not known at all
         for r in range(n):
             for k in range(n):
-                A = M[r, k] / t_A if t_A > 0.0 else 0.0
-                M[r, k] = (t_A + t_B) * (A + g[r] * g[k] / length * t_B)
-    if not t_A <= n * far:  # without information, such as of an area that has been unplugged for long
-        M[:] = 0.0
-        for r in range(n):
-            M[r, r] = far * far
-
-
-@equation
-def far_of(noise: Any, process_variance: Any) -> Any:
-    """The standard deviation of states of an area without information."""
-    largest = 0.0
-    for c in range(noise.size):
-        largest = max(largest, process_variance[c], noise[c] if np.isfinite(noise[c]) else 0.0)
-    return FAR * np.sqrt(largest)
+                M[r, k] = (1.0 + tau) * M[r, k] + (1.0 + 1.0 / tau) * (g[r] * bound) * (g[k] * bound)
+    lost = False
+    for r in range(n):
+        lost |= not M[r, r] <= UNKNOWN
+    if lost:  # of an area whose errors grow and that has been without readings for long
+        M[:] = UNKNOWN * np.eye(n)
 
 
 @compiled

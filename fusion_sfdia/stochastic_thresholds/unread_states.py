@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.areas import Areas
-from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, initial_state, predict, take
+from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, after_readings, initial_state
 
 Array = NDArray[Any]
 
 MOST_STEPS = 1000
-SETTLED = 1e-10  # largest relative change of Sigma in a step
+SETTLED = 1e-10  # largest relative change of a variance in a step
 DECAYS = 1 - 1e-6  # errors that decay by less in a step do not decay in any run
 
 
@@ -63,17 +63,15 @@ def settle(areas: Areas) -> tuple[Diagnosers, Array]:
 
     It grows where it has not settled after MOST_STEPS, and its changes do not become smaller.
     """
-    still = np.zeros((1, areas.size[0]))
-    own, shared = np.where(areas.unread, np.nan, 0.0)[None], np.where(areas.received, np.nan, 0.0)[None]
-    now, change = initial_state(areas, (1,)), np.full(areas.size[0], np.inf)
+    now, change = initial_state(areas, (1,)), np.full(areas.noise.shape, np.inf)
     for _ in range(MOST_STEPS):
-        after = take(areas, predict(areas, now, still, still, 0.0, "corrected"), own, shared)
-        before, change = change, np.abs(after.covariance - now.covariance)[0].max(axis=(1, 2))
-        now = after
-        settled = change <= SETTLED * np.abs(now.covariance[0]).max(axis=(1, 2))
+        after = after_readings(areas, now)
+        variance, last = (np.diagonal(a.covariance[0], axis1=-2, axis2=-1) for a in (after, now))
+        now, before, change = after, change, np.abs(variance - last)
+        settled = change <= SETTLED * variance
         if np.all(settled):
             break
-    return now, ~settled & (change >= DECAYS * before)
+    return now, np.any(~settled & (change >= DECAYS * before), axis=-1)
 
 
 def error_matrix(areas: Areas, now: Diagnosers) -> Array:

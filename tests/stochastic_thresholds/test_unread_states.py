@@ -206,3 +206,15 @@ def test_what_needs_all_states_says_so() -> None:
     assert require_estimable(chain_areas()) == 0.0
     with pytest.raises(ValueError, match="or inf of a state without a sensor"):
         replace(areas, noise=-areas.noise)
+
+
+@pytest.mark.parametrize("scale", [(1e3, 1e-2), (1e-6, 1e6)])
+def test_units_of_states_that_are_not_shared_do_not_matter(scale: tuple[float, float]) -> None:
+    """Sums of some ten terms; what the start leaves has decayed; the gain has settled to a share of SETTLED in each."""
+    areas, units = chain_areas([(1, 1), (2, 0)], [AB, CB]), np.array([1.0, *scale])
+    matrices = areas.matrices * units[:, None] / np.array([*units, 1.0, 1.0])
+    other = replace(areas, matrices=matrices, process_variance=areas.process_variance * units**2, noise=areas.noise * units**2)
+    other = replace(other, shared_gain=other.matrices[TOPOLOGY.neighbour, 0, 0])
+    a, b = ([*chain_runs(one, 1, 40, 0.3, known=False)][-1].ahead.deviation for one in (areas, other))
+    np.testing.assert_allclose(b / units, a, rtol=1e-6)
+    assert spectral_radius(other, 0.0) == pytest.approx(spectral_radius(areas, 0.0), rel=1e-6)
