@@ -182,6 +182,10 @@ def test_unread_states_that_cannot_be_estimated_are_refused() -> None:
     message = r"area 'b': errors of estimates of b1 do not decay \(factor 1 a step\) with readings of b0, b2; .* sensor of b1"
     with pytest.raises(ValueError, match=message):
         require_estimable(undetectable())
+    growing = undetectable()
+    growing.matrices[1, 1, 1] = 1.5
+    with pytest.raises(ValueError, match=r"factor 1\.5 a step"):
+        require_estimable(growing)
     away = undetectable()
     network = away.network.switched(unplug=["b"])
     slope = np.where(network.closed, away.slope, 0.0)
