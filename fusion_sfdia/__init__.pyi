@@ -9,6 +9,7 @@ from fusion_sfdia.commissioning.commission import commission as commission
 from fusion_sfdia.commissioning.commission import commissioned as commissioned
 from fusion_sfdia.comparison.compare import ComparisonResult as ComparisonResult
 from fusion_sfdia.comparison.compare import compare as compare
+from fusion_sfdia.core.areas import Areas as Areas
 from fusion_sfdia.core.augment import augment as augment
 from fusion_sfdia.core.batch_detector import BatchDetector as BatchDetector
 from fusion_sfdia.core.batch_detector import TimeStep as TimeStep
@@ -25,6 +26,8 @@ from fusion_sfdia.core.linear import linear_plant as linear_plant
 from fusion_sfdia.core.log import Log as Log
 from fusion_sfdia.core.log import as_log as as_log
 from fusion_sfdia.core.modules import Modules as Modules
+from fusion_sfdia.core.network import Network as Network
+from fusion_sfdia.core.network import Topology as Topology
 from fusion_sfdia.core.physics import Physics as Physics
 from fusion_sfdia.core.plant import Plant as Plant
 from fusion_sfdia.core.plant_groups import Numerics as Numerics

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -16,6 +16,7 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, Prediction, initial_state, predict, take
 from fusion_sfdia.stochastic_thresholds.consensus_equations import UNKNOWN
 from fusion_sfdia.stochastic_thresholds.present_readings import PredictedReadings, Taken
+from fusion_sfdia.stochastic_thresholds.unread_states import require_estimable
 
 Array = NDArray[Any]
 
@@ -24,7 +25,9 @@ Array = NDArray[Any]
 class AreaDiagnosers:
     """The local diagnosers of a plant that states its areas; their memory is `Diagnosers`.
 
-    Raises ValueError where states or inputs of the plant are not those of its areas, or where a sensor belongs to no area.
+    areas: as stated; then, the noise of states without a sensor is infinite.
+    Raises ValueError where states or inputs of the plant are not those of its areas, where a sensor belongs to no area, and
+    where states without a sensor cannot be estimated (require_estimable).
     """
 
     plant: Plant
@@ -40,8 +43,13 @@ class AreaDiagnosers:
                 f"plant {plant.name!r} has {len(plant.states)} states and {len(plant.inputs)} inputs, its areas "
                 f"{len(state_names)} states and {2 * count} inputs, references then loads; give the areas of this plant"
             )
-        for s in plant.sensors:
-            self.areas.place(s.measures, s.owner)
+        own, shared = self._of_areas(np.ones(len(plant.sensors)), 0.0)
+        if not (np.all(own) and np.all(shared)):
+            noise = np.where(own > 0, self.areas.noise, np.inf)
+            shared_noise = np.where(shared > 0, self.areas.shared_noise, np.inf)
+            object.__setattr__(self, "areas", replace(self.areas, noise=noise, shared_noise=shared_noise))
+            self.areas.arrays(self.mode)
+            require_estimable(self.areas)
 
     @cached_property
     def _place(self) -> Array:
@@ -64,6 +72,10 @@ class AreaDiagnosers:
         x0, sigma = (a.reshape(count, n) for a in (self.plant.x0, np.sqrt(diagonal(self.plant.initial_cov))))
         now = initial_state(self.areas, batch)
         now.held[...], now.error_bound[...] = x0, sigma
+        some = np.any(self.areas.unread, axis=1)
+        if np.any(some):
+            now.error_bound[..., some, :] = 0.0
+            now.covariance[..., some, :, :] = (sigma**2)[some, :, None] * np.eye(n)
         now.held_shared[...], now.error_bound_shared[...] = x0[neighbour, 0], np.where(closed, sigma[neighbour, 0], UNKNOWN)
         return now
 
@@ -78,30 +90,48 @@ class AreaDiagnosers:
 
     def take(self, predicted: PredictedReadings, y: Array) -> Taken:
         """As of PresentReadings: after the readings y (B, N), NaN where missing or left out."""
-        memory = take(predicted.inner, *self._of_areas(y / self._scale, np.nan))
+        memory = take(self.areas, predicted.inner, *self._of_areas(y / self._scale, np.nan))
         return Taken(memory, memory.held.reshape(*memory.held.shape[:-2], -1), None)
 
     def effects(
         self, memory: Diagnosers, predicted: PredictedReadings, now: TimeStep, u: Array, rows: Array
     ) -> tuple[Array, Array]:
         """As of PresentReadings: the equations for unit readings and unit residuals."""
-        error_bound, error_bound_shared = memory.error_bound[rows][:, None], memory.error_bound_shared[rows][:, None]
         units = self._of_areas(np.eye(self._place.size), 0.0)
-        nothing = np.zeros((len(error_bound), self._place.size, self.areas.size[0]))
-        still, none = np.zeros_like(units[0]), np.zeros_like(units[1])
-        read = units[0] * (error_bound == 0.0), units[1] * (error_bound_shared == 0.0)
+        still = np.zeros_like(units[0]), np.zeros_like(units[1])
         found = []
-        for held, residual in ((read, (still, none)), ((still, none), units)):
-            one = Diagnosers(held[0], held[1], error_bound, error_bound_shared, residual[0], residual[1], still, none)
-            ahead = predict(self.areas, one, nothing, nothing, self.lam, self.mode)
-            change = self._of_sensors(ahead.estimate, ahead.estimate_shared)
+        for held, residual in ((self._held(memory, rows), still), (still, units)):
+            change = self._of_sensors(*self._change(memory, rows, held, residual))
             found.append(np.swapaxes(change, -1, -2) * self._scale[:, None] / self._scale)
         return found[0], -found[1]
+
+    def _held(self, memory: Diagnosers, rows: Array) -> tuple[Array, Array]:
+        """What a unit in each of the N last readings adds to held values, own (R, N, areas, n) and shared (R, N, 2E)."""
+        areas, (own, shared) = self.areas, self._of_areas(np.eye(self._place.size), 0.0)
+        shared = shared * (memory.error_bound_shared[rows][:, None] == 0.0)
+        kept = own * (memory.error_bound[rows][:, None] == 0.0)
+        if areas.partly_read:
+            read = own * (memory.deviation[rows] > 0.0)[:, None]
+            K = memory.covariance[rows] / areas.noise[:, None]  # Sigma_ur / R, and a unit row of each state that is read
+            kept = np.where(np.any(areas.unread, axis=1)[:, None], (K[:, None] @ read[..., None])[..., 0], kept)
+            shared = np.where(areas.received, kept[..., areas.network.topology.neighbour, 0], shared)
+        return kept, shared
+
+    def _change(
+        self, memory: Diagnosers, rows: Array, held: tuple[Array, Array], residual: tuple[Array, Array]
+    ) -> tuple[Array, Array]:
+        """What held values and residuals, own (R, N, areas, n) and shared (R, N, 2E), add to the next estimates."""
+        bounds = memory.error_bound[rows][:, None], memory.error_bound_shared[rows][:, None]
+        nothing = np.zeros((len(bounds[0]), self._place.size, self.areas.size[0]))
+        still = np.zeros_like(residual[0]), np.zeros_like(residual[1])
+        one = Diagnosers(*held, *bounds, *residual, *still, memory.covariance[rows][:, None])
+        ahead = predict(self.areas, one, nothing, nothing, self.lam, self.mode)
+        return ahead.estimate, ahead.estimate_shared
 
     def without_faults(
         self, memory: Diagnosers, predicted: PredictedReadings, now: TimeStep, u: Array, size: Array, uncertainty: Array
     ) -> PredictedReadings:
-        """As of PresentReadings; states that no sensor reads do not change."""
+        """As of PresentReadings; estimates of unread states lose the effect, too."""
         rows = np.any(size != 0, axis=-1)
         absorbed = np.zeros((*size.shape, size.shape[-1]))
         absorbed[rows] = self.effects(memory, predicted, now, u, rows)[0]
@@ -110,6 +140,16 @@ class AreaDiagnosers:
         ahead: Prediction = predicted.inner
         shift, shift_shared = self._of_areas(less / self._scale, 0.0)
         wider, wider_shared = self._of_areas(more / np.abs(self._scale), 0.0)
+        M = ahead.covariance
+        if self.areas.partly_read:
+            none = np.zeros(self.areas.noise.shape), np.zeros(self.areas.shared_noise.shape)
+            change = self._change(memory, rows, self._held(memory, rows), none)[0]
+            of_rows = size[rows] / self._scale, uncertainty[rows] / np.abs(self._scale)
+            shift[rows] = np.where(self.areas.unread, np.einsum("rk,rkic->ric", of_rows[0], change), shift[rows])
+            spread = np.einsum("rk,rkic->ric", of_rows[1], np.abs(change))
+            wide = 2 * (M[rows] + spread.shape[-1] * spread[..., None] ** 2 * np.eye(spread.shape[-1]))
+            M = M.copy()  # E[(A + B)(A + B)'] <= 2 E[A A'] + 2 E[B B'], B B' <= n diag(B_c^2)
+            M[rows] = np.where(np.any(spread > 0, axis=-1)[..., None, None], wide, M[rows])
         return predicted._replace(
             expected=predicted.expected - less,
             deviation=predicted.deviation + more,
@@ -120,6 +160,8 @@ class AreaDiagnosers:
                 ahead.deviation_shared + wider_shared,
                 np.minimum(ahead.error_bound + wider, UNKNOWN),
                 np.minimum(ahead.error_bound_shared + wider_shared, UNKNOWN),
+                M,
+                ahead.ahead - shift if M.size else ahead.ahead,
             ),
         )
 

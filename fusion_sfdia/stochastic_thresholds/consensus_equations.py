@@ -34,6 +34,28 @@ A missing reading is replaced by the estimate, e and s by 0, and its noise by `e
 of x - x_hat. This error correlates with the other terms, so error bounds are added instead of variances:
 sd(chi) <= sqrt(variance of the readings) + sum of |coefficient| error_bound.
 
+Unread states (ours: B18 reads all states of an area, (4)). The area keeps the covariance Sigma of x - x_bar of all its states,
+where x_bar is y of a state that it reads, as in (5), and of the others an estimate with the gain K:
+
+    chi+   = y+ - f(x_bar),   x_bar+ = f(x_bar) + K chi+ of an unread state,   K = M_ur (M_rr + R)^-1
+    M      = F Sigma F' + g g' sum_j P_ij^2 sigma_j^2 + Q     the covariance of x+ - f(x_bar), where F_00 stands for W_i F_00,
+                                                              and Q_00 has a^2 sum_j W_j^2 sigma_j^2 of the neighbours' copies
+    Sigma+ = (1 - K C) M (1 - K C)' + K R K'                  with a unit row of K for each state that is read
+
+u the unread states, r those that are read. These keep their readings, so K is the Kalman gain of the unread states only, whose
+errors correlate with the noise of the readings that corrected them, Sigma_ur = K R. (14), (15) have Var[chi] = M_rr + R, and
+(17) v_i = Sigma_00 of the area's own value. A reading that is missing makes its state unread for a step. Where all are read,
+Sigma is R, and these are the equations above. A neighbour without a sensor of z_i has no weight; it receives the value that the
+area holds, with the noise of its reading, or with the error bound sqrt(Sigma_00) of its estimate.
+
+The error of a neighbour's value that is an estimate, whose root mean square is at most error_bound, correlates with Sigma. With
+A + B for the error of f(x_bar), B = g sum_j P_ij (z_j - held_j) of such neighbours,
+
+    E[(A + B)(A + B)'] <= (1 + tau) E[A A'] + (1 + 1 / tau) E[B B']     for any tau > 0, since 2 a b <= tau a^2 + b^2 / tau
+
+bounds M. tau is the ratio of the sizes of B and A, which makes the bound least; sizes are relative to both in each state, so
+that units do not matter.
+
 Layout, as in network.py: own readings (B, N, 4); sides (2E,), those of area i from start[i] to start[i + 1], each with the
 reading of z of `neighbour[side]`; slope (2E,), 0 where the tie is open. The copies of z_i are own[i, 0] and the copies at
 opposite[side] of the closed sides of i.
@@ -49,6 +71,7 @@ from fusion_sfdia.core.equation import compiled, equation
 
 UNKNOWN = 1e100  # an error bound without information: such residuals are not tested
 ENOUGH = UNKNOWN**0.5  # deviations below this are of known readings
+FAR = 1e4  # standard deviation of a state without information, over that with it
 
 
 @equation
@@ -108,8 +131,8 @@ def residual_deviation(memory: Any, variance: Any, process_variance: Any, noise:
 @equation
 def find_terms(
     b: Any, i: Any, error_bound: Any, error_bound_shared: Any, printed: Any, matrices: Any, slope: Any, closed: Any,
-    process_variance: Any, noise: Any, shared_noise: Any, start: Any, opposite: Any, area_terms: Any, side_terms: Any, row: Any,
-    shift: Any,
+    process_variance: Any, noise: Any, shared_noise: Any, received: Any, start: Any, opposite: Any, area_terms: Any,
+    side_terms: Any, row: Any, shift: Any,
 ) -> None:  # fmt: skip
     """Write weights and deviations of area i to area_terms[row] and, for each side, to side_terms[side + shift].
 
@@ -144,6 +167,7 @@ def find_terms(
         if closed[side]:
             v, d = shared_noise[opposite[side]], error_bound_shared[b, opposite[side]]
             precision = precision_printed(v, d, a, drive_variance, q) if printed else precision_read(v, d)
+            precision = 0.0 if received[opposite[side]] else precision
             side_terms[side + shift, 0] = precision
             total += precision
     total += own
@@ -169,6 +193,103 @@ def find_terms(
         side_terms[side + shift, 1] = as_printed if printed else residual_deviation(0.0, variance, q, v, agreed_bound)
 
 
+@compiled
+def find_partly_terms(
+    b: Any, i: Any, error_bound_shared: Any, covariance: Any, matrices: Any, slope: Any, closed: Any, process_variance: Any,
+    noise: Any, shared_noise: Any, received: Any, start: Any, opposite: Any, area_terms: Any, side_terms: Any, row: Any,
+    shift: Any, M: Any,
+) -> None:  # fmt: skip
+    """As find_terms, of an area that does not read all its states; also write M (n, n), or its bound."""
+    n = noise.shape[1]
+    own = 1.0 / max(covariance[b, i, 0, 0], 1.0 / UNKNOWN)
+    inflow_variance, bound, total, agreed = 0.0, 0.0, own, 0.0
+    for side in range(start[i], start[i + 1]):
+        if closed[side]:
+            P, d, k = slope[side], error_bound_shared[b, side], opposite[side]
+            inflow_variance += P * P * noise_read(shared_noise[side], d)
+            bound += abs(P) * d
+            of_reading = error_bound_shared[b, k] == 0.0 and not received[k]
+            side_terms[side + shift, 0] = 1.0 / shared_noise[k] if of_reading else 0.0
+            total += side_terms[side + shift, 0]
+    for side in range(start[i], start[i + 1]):
+        if closed[side]:
+            side_terms[side + shift, 0] /= total
+            agreed += side_terms[side + shift, 0] ** 2 * shared_noise[opposite[side]]
+    area_terms[row, 0] = own / total
+    F, g, a = matrices[i, :, :n].copy(), matrices[i, :, n + 1], matrices[i, 0, 0]
+    F[0, 0] *= own / total
+    for r in range(n):
+        for k in range(n):
+            M[r, k] = g[r] * g[k] * inflow_variance
+            for c in range(n):
+                for j in range(n):
+                    M[r, k] += F[r, c] * covariance[b, i, c, j] * F[k, j]
+        M[r, r] = max(M[r, r], 0.0) + process_variance[i, r] + (a * a * agreed if r == 0 else 0.0)
+        area_terms[row, 1 + r] = residual_deviation(0.0, M[r, r], 0.0, noise[i, r], abs(g[r]) * bound)
+        area_terms[row, 1 + n + r] = error_deviation(0.0, M[r, r], 0.0, abs(g[r]) * bound)
+    for side in range(start[i], start[i + 1]):
+        v = shared_noise[opposite[side]]
+        side_terms[side + shift, 1] = residual_deviation(0.0, M[0, 0], 0.0, v, abs(g[0]) * bound)
+    t_A, t_B = 0.0, 0.0
+    for r in range(n):
+        A, B = M[r, r], (g[r] * bound) ** 2
+        if B > 0.0:
+            t_A, t_B = t_A + A / (A + B), t_B + B / (A + B)
+    if t_B > 0.0:
+        tau = np.sqrt(t_B / t_A) if t_A > 0.0 else FAR
+        bound, tau = bound * min(1.0, FAR / tau), min(tau, FAR)  # beyond, the neighbour's value is not known at all
+        for r in range(n):
+            for k in range(n):
+                M[r, k] = (1.0 + tau) * M[r, k] + (1.0 + 1.0 / tau) * (g[r] * bound) * (g[k] * bound)
+    lost = False
+    for r in range(n):
+        lost |= not M[r, r] <= UNKNOWN
+    if lost:  # of an area whose errors grow and that has been without readings for long
+        M[:] = UNKNOWN * np.eye(n)
+
+
+@compiled
+def estimate_unread(y: Any, ahead: Any, noise: Any, held: Any, P: Any) -> Any:
+    """Write estimates of states without a reading y (n) to held, from f(x_bar) in ahead; P: M before, Sigma afterwards.
+
+    One reading after the other, for their noise is independent. Returns a bound of the deviation of held z, 0 for a reading.
+    """
+    n = y.size
+    for c in range(n):
+        if np.isfinite(y[c]) and np.isfinite(noise[c]):
+            variance, new = P[c, c] + noise[c], y[c] - ahead[c]
+            column = P[:, c].copy()
+            for r in range(n):
+                ahead[r] += column[r] / variance * new
+                for k in range(n):
+                    P[r, k] -= column[r] * column[k] / variance
+    for c in range(n):
+        if np.isfinite(y[c]) and np.isfinite(noise[c]):
+            for k in range(n):  # P_ur is K R
+                if np.isfinite(y[k]) and np.isfinite(noise[k]):
+                    P[c, k] = noise[c] if c == k else 0.0
+        else:
+            held[c], P[c, c] = ahead[c], max(P[c, c], 0.0)
+    return 0.0 if np.isfinite(y[0]) and np.isfinite(noise[0]) else np.sqrt(P[0, 0])
+
+
+@compiled
+def take_unread(
+    noise: Any, closed: Any, received: Any, start: Any, opposite: Any, own: Any, ahead: Any, h: Any, h_shared: Any, d: Any,
+    d_shared: Any, e: Any, e_shared: Any, s: Any, s_shared: Any, covariance: Any,
+) -> None:  # fmt: skip
+    """Complete the diagnosers h to s_shared after take_readings: estimates of unread states, and what areas send of them."""
+    for b in range(h.shape[0]):
+        for i in range(h.shape[1]):
+            bound = d[b, i, 0]
+            if not np.all(np.isfinite(noise[i])):
+                bound = estimate_unread(own[b, i], ahead[b, i], noise[i], h[b, i], covariance[b, i])
+            for side in range(start[i], start[i + 1]):
+                k = opposite[side]
+                if closed[side] and received[k]:
+                    h_shared[b, k], d_shared[b, k], e_shared[b, k], s_shared[b, k] = h[b, i, 0], bound, 0.0, 0.0
+
+
 @equation
 def taken(y: Any, estimate: Any, error_bound: Any, s: Any) -> Any:
     """What is held after the reading y, its error bound, residual and deviation."""
@@ -188,18 +309,19 @@ def take_readings(y: Any, held: Any, error_bound: Any, residual: Any, s: Any) ->
 @compiled
 def step_areas(
     held: Any, held_shared: Any, error_bound: Any, error_bound_shared: Any, residual: Any, residual_shared: Any, deviation: Any,
-    deviation_shared: Any, reference: Any, load: Any, lam: Any, printed: Any, matrices: Any, slope: Any, closed: Any,
-    process_variance: Any, noise: Any, shared_noise: Any, start: Any, opposite: Any, reader: Any, known: Any, area_terms: Any,
-    side_terms: Any, alpha: Any, own: Any, shared: Any, h: Any, h_shared: Any, d: Any, d_shared: Any, e: Any, e_shared: Any,
-    s: Any, s_shared: Any, alarm: Any,
+    deviation_shared: Any, covariance: Any, reference: Any, load: Any, lam: Any, printed: Any, matrices: Any, slope: Any,
+    closed: Any, process_variance: Any, noise: Any, shared_noise: Any, received: Any, start: Any, opposite: Any, reader: Any,
+    known: Any, area_terms: Any, side_terms: Any, alpha: Any, own: Any, shared: Any, h: Any, h_shared: Any, d: Any,
+    d_shared: Any, e: Any, e_shared: Any, s: Any, s_shared: Any, covariance_after: Any, alarm: Any,
 ) -> Any:  # fmt: skip
     """Write the diagnosers after the readings own (B, N, n) and shared (B, 2E), under reference and load (B, N).
 
-    h to s_shared: the Diagnosers after; without readings, given by arrays of no runs, estimates, error bounds and deviations of
-    the next ones. printed: (15), (17) as printed. alarm (B, N + K), False before: whether |residual| > alpha deviation for any
-    reading of an area, own or of a neighbour's first state; K columns for the copies behind the sides of the N areas, each read
-    in another part. All copies of z_i are treated with area i: it needs the copies at its sides and at the opposite sides, and
-    writes the latter. Returns whether the shapes fit; if they do not, nothing is written.
+    h to covariance_after: the Diagnosers after; without readings, given by arrays of no runs, estimates, error bounds, f(x_bar)
+    of areas with unread states, deviations of the next ones, and M. printed: (15), (17) as printed. alarm (B, N + K), False
+    before: whether |residual| > alpha deviation for any reading of an area, own or of a neighbour's first state; K columns for
+    the copies behind the sides of the N areas, each read in another part. All copies of z_i are treated with area i: it needs
+    the copies at its sides and at the opposite sides, and writes the latter. Returns whether the shapes fit; if they do not,
+    nothing is written.
     """
     runs, areas, n = held.shape
     read = own.shape[0] > 0
@@ -209,12 +331,16 @@ def step_areas(
     fits &= error_bound.shape == residual.shape == deviation.shape == h.shape == d.shape == e.shape == s.shape == held.shape
     fits &= error_bound_shared.shape == residual_shared.shape == deviation_shared.shape == held_shared.shape
     fits &= h_shared.shape == d_shared.shape == e_shared.shape == s_shared.shape == held_shared.shape
+    some = covariance.shape[2] > 0  # whether any state is not read
+    fits &= covariance.shape == covariance_after.shape and (not some or covariance.shape == (runs, areas, n, n))
     if not fits:
         return False
+    ahead = np.zeros(n)
     for b in range(runs):
         for i in range(areas):
             first, past, row, shift = start[i], start[i + 1], i, 0
-            inflow, complete = 0.0, True  # complete: all values that are used of the states of the area and of its neighbours
+            partly = some and not np.all(np.isfinite(noise[i]))
+            inflow, complete = 0.0, not partly  # complete: all values used of the states of the area and of its neighbours
             for c in range(n):
                 complete &= error_bound[b, i, c] == 0.0
             for side in range(first, past):
@@ -223,10 +349,17 @@ def step_areas(
                     complete &= error_bound_shared[b, side] == 0.0 and error_bound_shared[b, opposite[side]] == 0.0
             if not complete:
                 row, shift = areas, start[areas] - first  # behind the terms of all areas
-            if not (complete and known[i]):
+            if partly:
+                find_partly_terms(
+                    b, i, error_bound_shared, covariance, matrices, slope, closed, process_variance, noise, shared_noise,
+                    received, start, opposite, area_terms, side_terms, row, shift, covariance_after[b, i],
+                )  # fmt: skip
+            elif some:
+                covariance_after[b, i] = 0.0
+            if not partly and not (complete and known[i]):
                 find_terms(
                     b, i, error_bound, error_bound_shared, printed, matrices, slope, closed, process_variance, noise,
-                    shared_noise, start, opposite, area_terms, side_terms, row, shift,
+                    shared_noise, received, start, opposite, area_terms, side_terms, row, shift,
                 )  # fmt: skip
                 known[i] |= complete
             drive, crossed = 0.0, False
@@ -234,13 +367,14 @@ def step_areas(
                 value = matrices[i, r, n] * reference[b, i] + matrices[i, r, n + 1] * (inflow - load[b, i])
                 for c in range(0 if r else 1, n):
                     value += matrices[i, r, c] * held[b, i, c]
+                ahead[r] = value
                 if r == 0:
                     drive = value
                     continue
                 memory = lam * deviation[b, i, r]
                 x = (
                     private_term(value, residual[b, i, r], lam),
-                    min(memory + area_terms[row, 1 + n + r], UNKNOWN),
+                    0.0 if partly else min(memory + area_terms[row, 1 + n + r], UNKNOWN),
                     0.0,
                     (memory + area_terms[row, 1 + r]),
                 )
@@ -258,12 +392,22 @@ def step_areas(
             agreed += W * shared_term(held[b, i, 0], drive, residual[b, i, 0], a, lam)
             memory = lam * (W * deviation[b, i, 0] + memory)
             bound = min(memory + area_terms[row, 1 + n], UNKNOWN)
-            x = agreed, bound, 0.0, memory + area_terms[row, 1]
+            x = agreed, 0.0 if partly else bound, 0.0, memory + area_terms[row, 1]
             if read:
                 x = taken(own[b, i, 0], x[0], x[1], x[3])
             h[b, i, 0], d[b, i, 0], e[b, i, 0], s[b, i, 0] = x
             crossed |= abs(x[2]) > alpha * x[3]
             alarm[b, i] |= crossed
+            held_bound = d[b, i, 0]
+            if partly:
+                ahead[0] += W * a * held[b, i, 0]
+                for side in range(first, past):
+                    if closed[side]:
+                        ahead[0] += side_terms[side + shift, 0] * a * held_shared[b, opposite[side]]
+                if read:
+                    held_bound = estimate_unread(own[b, i], ahead, noise[i], h[b, i], covariance_after[b, i])
+                else:
+                    e[b, i] = ahead
             for side in range(first, past):
                 k = opposite[side]
                 x = held_shared[b, k], UNKNOWN, 0.0, UNKNOWN
@@ -273,4 +417,6 @@ def step_areas(
                     x = taken(shared[b, k], x[0], x[1], x[3])
                 h_shared[b, k], d_shared[b, k], e_shared[b, k], s_shared[b, k] = x
                 alarm[b, reader[side]] |= abs(x[2]) > alpha * x[3]
+                if some and read and closed[side] and received[k]:
+                    h_shared[b, k], d_shared[b, k], e_shared[b, k], s_shared[b, k] = h[b, i, 0], held_bound, 0.0, 0.0
     return True

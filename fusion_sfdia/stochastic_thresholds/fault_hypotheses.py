@@ -93,6 +93,11 @@ class FaultHypotheses:
         require_unique("faults and answers", self.answers)
         require_fault_functions(self.faults, self.areas.size[1])
         self._area  # noqa: B018 - checks that the area is known
+        if self.areas.partly_read:
+            raise ValueError(
+                f"no sensor of its area reads {self.areas.unread_names}; fault functions are isolated only where all states "
+                "are read: add these sensors"
+            )
 
     @property
     def answers(self) -> tuple[str, ...]:
@@ -126,7 +131,14 @@ class FaultHypotheses:
         return Isolation(z, z, z, z, np.zeros(shape, int), np.zeros(shape, bool), np.full(runs, -1))
 
     def begin(self, state: Isolation, runs: Array, now: Diagnosers) -> Isolation:
-        """Start or restart the runs chosen by `runs` (B,) bool, from the memory of the diagnosers after their alarm."""
+        """Start or restart the runs chosen by `runs` (B,) bool, from the memory of the diagnosers after their alarm.
+
+        ValueError for diagnosers that estimate unread states.
+        """
+        if now.covariance.size:
+            raise ValueError(
+                "these diagnosers estimate unread states; fault functions are isolated only where all states are read"
+            )
         chosen = np.asarray(runs, bool)[:, None, None]
         return Isolation(
             np.where(chosen, self._of_area(now.held, now.held_shared), state.held),

@@ -34,6 +34,7 @@ from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
 from fusion_sfdia.stochastic_thresholds.consensus import MODES
 from fusion_sfdia.stochastic_thresholds.fault_functions import FaultFunction
 from fusion_sfdia.stochastic_thresholds.threshold_rules import BOUND, CONFORMAL, RULES, require_rule
+from fusion_sfdia.stochastic_thresholds.unread_states import require_estimable
 
 Array = NDArray[Any]
 
@@ -173,16 +174,20 @@ def isolation_probability(prior: float, false_exclusion: float) -> float:
 
 
 def spectral_radius(areas: Areas, lam: float) -> float:
-    """Proposition 2: the largest magnitude of an eigenvalue of lam W over all shared states, (21).
+    """Proposition 2: the largest magnitude of an eigenvalue of lam W over all shared states, (21), and of the errors of unread
+    states (unread_states).
 
-    The rows of W have the sum 1, so that it is lam: errors decay like lam^t, and bounded ones stay bounded, for any network
-    and after any plugging, where lam < 1.
+    The rows of W have the sum 1, so that it is lam where all states are read: errors decay like lam^t, and bounded ones stay
+    bounded, for any network and after any plugging, where lam < 1. ValueError as of `require_estimable`.
     """
     topology, noise = areas.network.topology, areas.noise
-    largest = 0.0
+    largest = require_estimable(areas)
     for i in range(areas.size[0]):
         sides = [s for s in range(int(topology.start[i]), int(topology.start[i + 1])) if areas.network.closed[s]]
         v = np.array([noise[i, 0], *(areas.shared_noise[areas.opposite[s]] for s in sides)])
+        v = v[np.isfinite(v)]  # of a state that nobody reads there is no residual
+        if not v.size:
+            continue
         weights = np.tile((1 / v) / np.sum(1 / v), (v.size, 1))  # (17): the same in all areas that share the state
         largest = max(largest, float(np.max(np.abs(np.linalg.eigvals(lam * weights)))))
     return largest

@@ -36,6 +36,7 @@ class PartLayout(NamedTuple):
     process_variance: Array
     noise: Array
     shared_noise: Array
+    received: Array
     start: Array
     opposite: Array
     reader: Array
@@ -45,13 +46,17 @@ class PartLayout(NamedTuple):
     sides: Array
 
 
-def part_layouts(areas: Areas, parts: int) -> list[PartLayout]:
-    """Return the network in `parts` blocks of equal size; ValueError for less than one part or more parts than areas."""
+def part_layouts(areas: Areas, parts: int, mode: str = "corrected") -> list[PartLayout]:
+    """Return the network in `parts` blocks of equal size; ValueError for less than one part or more parts than areas.
+
+    ValueError as of Areas.arrays, too.
+    """
     count = areas.size[0]
     if not 1 <= parts <= count:
         raise ValueError(f"{count} areas cannot be shared by {parts} parts; expected 1 to {count}")
     at = areas.network.topology
     bounds = np.linspace(0, count, parts + 1).astype(np.int64)
+    whole = areas.arrays(mode)
     found = []
     for lo, hi in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
         first, past = int(at.start[lo]), int(at.start[hi])
@@ -64,9 +69,9 @@ def part_layouts(areas: Areas, parts: int) -> list[PartLayout]:
         found.append(
             PartLayout(
                 areas.matrices[lo:hi].copy(), areas.slope[sides], areas.network.closed[sides],
-                areas.process_variance[lo:hi].copy(), areas.noise[lo:hi].copy(), areas.shared_noise[sides],
-                at.start[lo : hi + 1] - first, opposite, reader, np.flatnonzero(elsewhere), past - first, (lo, hi),
-                sides,
+                areas.process_variance[lo:hi].copy(), areas.noise[lo:hi].copy(), whole.shared_noise[sides],
+                whole.received[sides], at.start[lo : hi + 1] - first, opposite, reader, np.flatnonzero(elsewhere),
+                past - first, (lo, hi), sides,
             )
         )  # fmt: skip
     return found
@@ -82,7 +87,7 @@ def routes(parts: Sequence[PartLayout]) -> list[Array]:
 def share(layout: PartLayout, state: Diagnosers) -> Diagnosers:
     """Return the diagnosers of a layout from those of the whole network."""
     lo, hi = layout.areas
-    return Diagnosers(*((a[:, lo:hi] if a.ndim == 3 else a[:, layout.sides]).copy(order="C") for a in state))
+    return Diagnosers(*((a[:, layout.sides] if a.ndim == 2 else a[:, lo:hi]).copy(order="C") for a in state))
 
 
 def at_borders(parts: Sequence[PartLayout], state: Diagnosers) -> Array:
@@ -96,7 +101,7 @@ class Part:
     def __init__(self, layout: PartLayout, state: Diagnosers, alpha: float, lam: float, printed: bool) -> None:
         self.layout, self.alpha, self.lam, self.printed = layout, alpha, lam, printed
         self._now, self._before = state, Diagnosers(*map(np.zeros_like, state))
-        self._arrays = AreaArrays.without_terms(*layout[:9])
+        self._arrays = AreaArrays.without_terms(*layout[:10])
 
     def step(self, received: Array, given: NetworkReadings) -> tuple[Array, Array, Array]:
         """Return alarms of its areas (B, M), alarms of the copies read in other parts (B, K), and the results for these (4, B,

@@ -36,6 +36,7 @@ def network_step(
         out = Diagnosers(*map(np.empty_like, state))
     alarm = np.zeros(reference.shape, bool)
     misread = len(own) != len(reference) or any(map(is_, state, out))  # without any readings the loop would only predict
+    misread |= (state.covariance.shape[-1] > 0) != areas.partly_read
     if misread or not consensus_equations.step_areas(
         *state, reference, load, lam, mode == "paper", *areas.arrays(mode), alpha, own, shared, *out, alarm
     ):
@@ -45,10 +46,14 @@ def network_step(
 
 def _misfit(areas: Areas, state: Diagnosers, given: NetworkReadings, out: Diagnosers) -> ValueError:
     batch, (count, n, sides) = len(state.held), areas.size
-    found = state.held.shape, state.held_shared.shape, *(a.shape for a in given)
-    expected = (batch, count, n), (batch, sides), (batch, count, n), (batch, sides), (batch, count), (batch, count)
+    side = n if areas.partly_read else 0
+    found = state.held.shape, state.held_shared.shape, state.covariance.shape, *(a.shape for a in given)
+    of_areas, of_sides = (batch, count, n), (batch, sides)
+    expected = of_areas, of_sides, (batch, count, side, side), of_areas, of_sides, (batch, count), (batch, count)
     if found != expected:
-        return ValueError(f"held, held_shared, own, shared, reference, load have the shapes {found}; expected {expected}")
+        return ValueError(
+            f"held, held_shared, covariance, own, shared, reference, load have the shapes {found}; expected {expected}"
+        )
     return ValueError(
         "out is the state itself or has other shapes; give an earlier result of this function that is not needed any more"
     )

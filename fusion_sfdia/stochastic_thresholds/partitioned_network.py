@@ -39,7 +39,7 @@ class PartitionedNetwork:
         where = list(client.scheduler_info(n_workers=-1)["workers"]) if workers is None else list(workers)
         if not where:
             raise ValueError("there is no worker for a part; start workers of this cluster or give their addresses")
-        self._parts = part_layouts(areas, len(where))
+        self._parts = part_layouts(areas, len(where), mode)
         self._routes = routes(self._parts)
         self._size = areas.size
         self._reader = areas.network.topology.node
@@ -71,17 +71,19 @@ class PartitionedNetwork:
         kept = self._answers("kept", [()] * len(self._parts))
         count, n, sides = self._size
         batch = len(kept[0].held)
-        whole = Diagnosers(*(np.empty((batch, count, n)) if k % 2 == 0 else np.empty((batch, sides)) for k in range(8)))
+        covariance = np.empty((batch, count, *kept[0].covariance.shape[2:]))
+        values = [np.empty((batch, sides) if k % 2 else (batch, count, n)) for k in range(8)]
+        whole = Diagnosers._make([*values, covariance])
         for layout, part in zip(self._parts, kept, strict=True):
             lo, hi = layout.areas
             mine = np.setdiff1d(
                 np.arange(layout.sides.size), layout.border
             )  # the parts of the neighbours keep its border sides
             for all_of_it, a in zip(whole, part, strict=True):
-                if a.ndim == 3:
-                    all_of_it[:, lo:hi] = a
-                else:
+                if a.ndim == 2:
                     all_of_it[:, layout.sides[mine]] = a[:, mine]
+                else:
+                    all_of_it[:, lo:hi] = a
         return whole
 
     def _answers(self, method: str, arguments: Sequence[tuple[Any, ...]]) -> list[Any]:

@@ -113,13 +113,14 @@ def predict(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: f
         at_sides(deviation_shared, UNKNOWN),
         np.minimum(error_bound, UNKNOWN),
         np.minimum(at_sides(np.take(error_bound[..., 0], at.neighbour, axis=-1), UNKNOWN), UNKNOWN),
+        now.covariance,
     )
 
 
 def take(predicted: Prediction, own: Array, shared: Array) -> Diagnosers:
     """The diagnosers after the readings own (B, N, n) and shared (B, 2E); NaN where missing or not to be used."""
     kept = []
-    for y, estimate, deviation, error_bound in zip((own, shared), predicted[:2], predicted[2:4], predicted[4:], strict=True):
+    for y, estimate, deviation, error_bound in zip((own, shared), predicted[:2], predicted[2:4], predicted[4:6], strict=True):
         read = np.isfinite(y)
         known = read & (deviation < UNKNOWN**0.5)  # a copy that knew nothing starts here, its residual 0
         kept.append(
@@ -130,4 +131,4 @@ def take(predicted: Prediction, own: Array, shared: Array) -> Diagnosers:
                 np.where(known, deviation, 0.0),
             )
         )
-    return Diagnosers(*(x for pair in zip(*kept, strict=True) for x in pair))
+    return Diagnosers(*(x for pair in zip(*kept, strict=True) for x in pair), predicted.covariance)

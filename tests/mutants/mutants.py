@@ -793,6 +793,18 @@ MUTANTS = (
         "tests/monitoring/test_calibration.py::test_each_group_is_judged_by_a_detector_that_has_not_seen_it",
     ),
     Mutant(
+        "fusion_sfdia/stochastic_thresholds/consensus_equations.py",
+        "F[0, 0] *= own / total",
+        "F[0, 0] *= 1.0",
+        "tests/stochastic_thresholds/test_unread_states.py::test_thresholds_have_the_variance_of_residuals",
+    ),
+    Mutant(
+        "fusion_sfdia/stochastic_thresholds/unread_states.py",
+        "DECAYS = 1 - 1e-6",
+        "DECAYS = 2.0",
+        "tests/stochastic_thresholds/test_unread_states.py::test_unread_states_that_cannot_be_estimated_are_refused",
+    ),
+    Mutant(
         "fusion_sfdia/stochastic_thresholds/present_readings.py",
         "inner.readings - self.lam * residual",
         "inner.readings + self.lam * residual",

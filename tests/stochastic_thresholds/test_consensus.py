@@ -30,7 +30,7 @@ def test_an_area_uses_only_its_own_data_and_what_neighbours_send() -> None:
             keep[:, near, 0] = True  # brackets of what they share
             if k in (0, 2):
                 keep[:, near] = True  # in the drive, with the readings at their other sides
-        else:
+        elif a.ndim == 2:
             keep[:, about | mine] = True
             if k in (1, 3):
                 keep[:, theirs] = True
@@ -70,7 +70,7 @@ def test_a_copy_starts_from_its_first_reading_and_an_open_tie_has_none() -> None
     shared = np.where(unplugged.network.closed, 0.5, np.nan)[None]
     first = predict(unplugged, now, zero, zero, LAM, "corrected")
     assert np.all(first.deviation > 1e50) and np.all(first.deviation_shared > 1e50)
-    now = take(first, y, shared)
+    now = take(unplugged, first, y, shared)
     np.testing.assert_array_equal(now.held, y)
     assert not now.residual.any() and not now.error_bound.any()
     second = predict(unplugged, now, zero, zero, LAM, "corrected")
@@ -82,7 +82,7 @@ def test_the_memory_of_diagnosers_after_readings_of_some_sensors() -> None:
     """Estimate 1, deviation 2, error bound 3: a reading of 5 replaces the estimate, a missing one keeps it."""
     own, shared = (np.ones(a.shape) for a in initial_state(AREAS, (1,))[:2])
     y, y_shared = np.where(own.cumsum().reshape(own.shape) % 2, 5.0, np.nan), np.full(shared.shape, np.nan)
-    kept = take(Prediction(own, shared, 2 * own, 2 * shared, 3 * own, 3 * shared), y, y_shared)
+    kept = take(AREAS, Prediction(own, shared, 2 * own, 2 * shared, 3 * own, 3 * shared), y, y_shared)
     read = np.isfinite(y)
     for found, reading, missing in ((kept.held, 5, 1), (kept.error_bound, 0, 3), (kept.residual, 4, 0), (kept.deviation, 2, 0)):
         np.testing.assert_array_equal(found, np.where(read, reading, missing))

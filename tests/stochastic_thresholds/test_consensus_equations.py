@@ -31,7 +31,7 @@ def healthy_run(mode: str, missing: float = 0.0, lam: float = LAM, model: object
         ahead = predict(areas, now, moment.reference, load, lam, mode)
         own = np.where(rng.random(moment.own.shape) < missing, np.nan, moment.own)
         shared = np.where(rng.random(moment.shared.shape) < missing, np.nan, moment.shared)
-        now = take(ahead, own, shared)
+        now = take(areas, ahead, own, shared)
         if moment.t >= SETTLED:
             found.append((own - ahead.estimate, ahead.deviation, shared - ahead.estimate_shared, ahead.deviation_shared))
     return tuple(np.stack(a) for a in zip(*found, strict=True))
@@ -125,7 +125,10 @@ def test_weights_minimise_the_variance_and_do_not_depend_on_the_receiver() -> No
     now = initial_state(unlike, (1,))
     zero = np.zeros((1, 15))
     now = take(
-        predict(unlike, now, zero, zero, 0.0, "corrected"), rng.standard_normal((1, 15, 4)), rng.standard_normal((1, 34))
+        unlike,
+        predict(unlike, now, zero, zero, 0.0, "corrected"),
+        rng.standard_normal((1, 15, 4)),
+        rng.standard_normal((1, 34)),
     )
     ahead = predict(unlike, now, zero, zero, 0.0, "corrected")
     np.testing.assert_array_equal(ahead.estimate_shared, ahead.estimate[:, AT.neighbour, 0])
@@ -158,7 +161,9 @@ def test_each_reading_has_its_weight_in_the_estimate(mode: str) -> None:
     rng, i, zero = np.random.default_rng(4), AT.index("5"), np.zeros((1, 15))
     shared_noise = rng.uniform(1e-6, 1e-1, 34)
     unlike = replace(AREAS, noise=rng.uniform(1e-4, 1e-1, AREAS.noise.shape), shared_noise=shared_noise)
-    at_zero = take(predict(unlike, initial_state(unlike, (1,)), zero, zero, 0.0, mode), np.zeros((1, 15, 4)), np.zeros((1, 34)))
+    at_zero = take(
+        unlike, predict(unlike, initial_state(unlike, (1,)), zero, zero, 0.0, mode), np.zeros((1, 15, 4)), np.zeros((1, 34))
+    )
     copies = AREAS.opposite[AREAS.network.sides(i)]
 
     def estimate(reading: int) -> float:

@@ -43,7 +43,7 @@ def anything(runs: int, seed: int = 0) -> tuple[Diagnosers, Array, Array]:
     rng = np.random.default_rng(seed)
     empty = initial_state(AREAS, (runs,))
     own, shared = (rng.standard_normal(a.shape) for a in empty[:2])
-    start = take(predict(AREAS, empty, np.zeros((runs, 15)), np.zeros((runs, 15)), LAM, "corrected"), own, shared)
+    start = take(AREAS, predict(AREAS, empty, np.zeros((runs, 15)), np.zeros((runs, 15)), LAM, "corrected"), own, shared)
     reference, load = rng.standard_normal((2, runs, 15))
     return start, reference, load
 
@@ -97,7 +97,7 @@ def test_each_hypothesis_is_the_diagnoser_with_the_model_of_its_fault(mode: str,
             for k, a in mixed.items():
                 a[:, sides] = getattr(detection, k)[:, sides]
             ahead = predict(areas, knows._replace(**mixed), *as_known(fault, reference, load), LAM, mode)
-            knowing[name] = knows = take(ahead, own, shared)
+            knowing[name] = knows = take(areas, ahead, own, shared)
             open_there = ~AREAS.network.closed[there]
             for k in ("held", "error_bound", "residual", "deviation"):
                 expected = np.concatenate([getattr(knows, k)[:, AREA], getattr(knows, f"{k}_shared")[:, there]], axis=-1)
@@ -241,7 +241,7 @@ def shares_excluded(noise: str, alpha: float, rule: str, confirmations: int, run
     for moment in run_network(model, 35, range(runs), loads=loads, faults=[flip]):
         load = np.broadcast_to(moment.load, moment.reference.shape)
         state = observer.step(state, now, moment.reference, load, moment.own, moment.shared)
-        now = take(predict(areas, now, moment.reference, load, LAM, "corrected"), moment.own, moment.shared)
+        now = take(areas, predict(areas, now, moment.reference, load, LAM, "corrected"), moment.own, moment.shared)
         if moment.t == 5.0:
             state = observer.begin(state, np.ones(runs, bool), now)
     assert state.age.tolist() == [30] * runs

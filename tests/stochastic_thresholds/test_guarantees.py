@@ -155,7 +155,7 @@ def test_in_the_network_what_is_detectable_or_excludable_is_so_in_every_run() ->
     for moment in run_network(model, 45, range(runs), loads=load_profile(model, load_steps("2")), faults=[ten]):
         load = np.broadcast_to(moment.load, moment.reference.shape)
         state = observer.step(state, now, moment.reference, load, moment.own, moment.shared)
-        now = take(predict(areas, now, moment.reference, load, LAM, "corrected"), moment.own, moment.shared)
+        now = take(areas, predict(areas, now, moment.reference, load, LAM, "corrected"), moment.own, moment.shared)
         xs.append(last[:, area])
         us.append(moment.reference[:, area])
         es.append(model.external(last[..., 0], load)[:, area])

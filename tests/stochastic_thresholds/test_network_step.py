@@ -55,7 +55,7 @@ def test_the_compiled_step_equals_array_code(network: str, mode: str) -> None:
     for k, name in enumerate(Diagnosers._fields):
         size = np.abs(getattr(most, name.replace("held", "estimate").replace("residual", "estimate")))
         assert np.all(np.abs(found[k] - expected[k]) <= operations * np.finfo(float).eps * size), name
-    by_turns = consensus.take(consensus.predict(areas, state, *inputs), given.own, given.shared)
+    by_turns = consensus.take(areas, consensus.predict(areas, state, *inputs), given.own, given.shared)
     assert [a.tobytes() for a in by_turns] == [a.tobytes() for a in found]
     crossed = np.abs(expected.residual) > ALPHA * expected.deviation
     beside = np.abs(expected.residual_shared) > ALPHA * expected.deviation_shared
@@ -89,13 +89,13 @@ def test_batches_have_any_leading_axes_and_are_broadcast() -> None:
     found = consensus.predict(areas, several, given.reference.reshape(2, 3, -1), given.load[:1], LAM, "corrected")
     for a, b in zip(found, whole, strict=True):
         assert a.shape == (2, 3, *b.shape[1:]) and a.tobytes() == b.tobytes()
-    kept = consensus.take(found, given.own.reshape(2, 3, 15, 4), given.shared.reshape(2, 3, -1))
-    for a, b in zip(kept, consensus.take(whole, given.own, given.shared), strict=True):
+    kept = consensus.take(areas, found, given.own.reshape(2, 3, 15, 4), given.shared.reshape(2, 3, -1))
+    for a, b in zip(kept, consensus.take(areas, whole, given.own, given.shared), strict=True):
         assert a.tobytes() == b.tobytes()
     turned = Diagnosers(*(np.asfortranarray(a) for a in state))  # memory in another order
     ahead = consensus.predict(areas, turned, given.reference, given.load[:1], LAM, "corrected")
     ahead = consensus.Prediction(*(np.asfortranarray(a) for a in ahead))
-    for a, b in zip(consensus.take(ahead, given.own, given.shared), kept, strict=True):
+    for a, b in zip(consensus.take(areas, ahead, given.own, given.shared), kept, strict=True):
         np.testing.assert_array_equal(a, b.reshape(a.shape))
     with pytest.raises(ValueError, match="mode is 'papr'"):
         consensus.predict(areas, state, given.reference, given.load, LAM, "papr")

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from toy_plants import chain
+from toy_plants import chain, changed
 
 from fusion_sfdia.core.detector import Decision, run
 from fusion_sfdia.core.plant import Array, Plant
@@ -177,3 +177,30 @@ def test_a_single_diagnoser_continues_with_another_model() -> None:
     _, d = changed.step(moved, 2.0, np.zeros(4), np.zeros(0))
     _, other = detector.step(state, 2.0, np.zeros(4), np.zeros(0))
     assert np.all(np.abs(d.residual) < np.abs(other.residual))
+
+
+def test_an_area_that_reads_only_its_angle_leaves_and_returns() -> None:
+    """Its estimates begin anew: no false alarm beyond Chebyshev's rate, and thresholds as without the change 20 steps later."""
+    gone = ("omega_4", "p_m_4", "p_v_4")
+    keep = [i for i, s in enumerate(plant().sensors) if s.name not in gone]
+    whole, without = (
+        changed(p, sensors=tuple(p.sensors[i] for i in keep), output=partial(_kept, p, keep), output_jacobian=None)
+        for p in (plant(), plant("4"))
+    )
+    model = network_model()
+    switches = [Switch(20.0, unplug=("4",)), Switch(40.0, plug_in=("4",))]
+    moments = list(run_network(model, 70, range(RUNS), loads=lambda t: np.zeros(15), switches=switches))[1:]
+    t, y, u = np.array([m.t for m in moments]), np.stack([m.y for m in moments])[..., keep], np.stack([m.u for m in moments])
+    detector = Chebyshev(whole, alpha=5.0, accommodate=False)
+    state, first = run(detector, detector.init((RUNS,)), t[:20], y[:20], u[:20])
+    alone, state = replug(detector, state, without)
+    state, _ = run(alone, state, t[20:40], y[20:40], u[20:40])
+    back, state = replug(alone, state, whole)
+    _, last = run(back, state, t[40:], y[40:], u[40:])
+    beyond = np.abs(last.residual) > last.threshold
+    assert np.mean(beyond[np.isfinite(last.residual)]) < 1 / 25
+    np.testing.assert_allclose(last.threshold[-1], first.threshold[-1], rtol=1e-3)
+
+
+def _kept(plant: Plant, keep: list[int], t: float, x: Array, u: Array) -> Array:
+    return plant.output(t, x, u)[..., keep]

@@ -84,7 +84,7 @@ def trial(
         load = np.broadcast_to(moment.load, moment.reference.shape)
         answers.step(now, moment, load)
         ahead = predict(areas, now, acted * moment.reference, load, LAM, watch.mode)
-        now = take(ahead, moment.own, moment.shared)
+        now = take(areas, ahead, moment.own, moment.shared)
         if moment.condition is not condition:  # of the steps from here on
             condition, areas = moment.condition, network_areas(moment.condition.known)
         answers.take(alarms.take(moment.t, now), moment.t, now)
