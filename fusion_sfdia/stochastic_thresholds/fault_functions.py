@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,17 +23,37 @@ def require_fault_functions(faults: Mapping[str, FaultFunction], n: int) -> None
             )
 
 
-def effects_and_slopes(faults: Mapping[str, FaultFunction], x: Array, u: Array, e: Array, width: Array) -> tuple[Array, Array]:
-    """Return what L faults add to the next state (B, L, n), and its derivatives (B, L, n, n + 1) by the state and by e.
+class Effects(NamedTuple):
+    """What L faults add to the next state, from readings with noise: mean (B, L, n), slopes (B, L, n, n + 1) by state and by e,
+    and the variance (B, L, n) of what is of second order.
+    """
 
-    x (B, L, n), u (B, 1), e (B, 1). width (n + 1,): of the central differences by each state and by e.
+    mean: Array
+    slopes: Array
+    curvature: Array
+
+
+def effects(faults: Mapping[str, FaultFunction], x: Array, u: Array, e: Array, sigma: Array) -> Effects:
+    """Return the effects to second order. x (B, L, n), u (B, 1), e (B, 1): as read. sigma (n + 1,): of the noise of x and e.
+
+    With d_i phi and d_ij phi the central first and second differences over sigma, for Gaussian noise r in z + r
+
+        E[phi(z + r)] = phi(z) + sum_i d_ii phi / 2,    Var = sum_i (d_i phi)^2 + sum_ij (d_ij phi)^2 / 2
+
+    so the mean is phi as read less its second differences, and the last sum is the curvature: exact up to quadratic phi.
     """
     n = x.shape[-1]
-    shifts = np.concatenate([np.zeros((1, n + 1)), np.diag(width), -np.diag(width)])
-    values, slopes = [], []
+    first, second = np.triu_indices(n + 1, 1)
+    both = np.diag(sigma)[first] + np.diag(sigma)[second]
+    shifts = np.concatenate([np.zeros((1, n + 1)), np.diag(sigma), -np.diag(sigma), both, -both])
+    means, slopes, curvatures = [], [], []
     for one, phi in enumerate(faults.values()):
         points = np.concatenate([x[:, one], e], axis=-1)[:, None] + shifts
         found = np.asarray(phi(points[..., :n], np.broadcast_to(u, points.shape[:-1]), points[..., n]), float)
-        values.append(found[:, 0])
-        slopes.append(np.swapaxes(found[:, 1 : n + 2] - found[:, n + 2 :], -1, -2) / (2 * width))
-    return np.stack(values, axis=1), np.stack(slopes, axis=1)
+        here, up, down, pairs, opposite = np.split(found, np.cumsum([1, n + 1, n + 1, first.size]), axis=1)
+        own = up + down - 2 * here  # d_ii
+        mixed = (pairs + opposite - 2 * here - own[:, first] - own[:, second]) / 2  # d_ij, i < j
+        means.append(here[:, 0] - own.sum(axis=1) / 2)
+        slopes.append(np.swapaxes(up - down, -1, -2) / (2 * sigma))
+        curvatures.append(np.sum(own**2, axis=1) / 2 + np.sum(mixed**2, axis=1))
+    return Effects(*(np.stack(part, axis=1) for part in (means, slopes, curvatures)))

@@ -3,21 +3,21 @@ IV, the generalised observer scheme).
 
 Under hypothesis l area i has the model x+ = F x + b u + g e + phi_l(x, u, e) + w, e = sum_j P_ij z_j - d. So (24) to (28) are
 the equations of its diagnoser (consensus_equations) for that model. The area sends the effect of phi_l on the shared first
-state to the areas that read it. Var[Delta f + Delta phi_l] in (26) includes the covariance of both terms. It uses central
-differences of phi_l over the deviations of the readings: exact where phi_l is affine, otherwise of first order. The right-hand
-sides of (26) and (27) use the thresholds of the present step, in (27) of area j, not i as printed.
+state to the areas that read it. Var[Delta f + Delta phi_l] in (26) includes the covariance of both terms. It takes differences
+of phi_l over the deviations of the readings, see `effects`: exact where phi_l is affine, otherwise of second order. The
+right-hand sides of (26) and (27) use the thresholds of the present step, in (27) of area j, not i as printed.
 
 A hypothesis is excluded when a residual of the area's own readings exceeds its threshold alpha s in p consecutive steps. The
 answer is the only hypothesis that is not excluded, once its own residuals are within their thresholds; "none of these" when all
 are excluded; "not isolated" when several are not excluded `patience` steps after the start.
 
-Guarantee in mode "corrected". A residual of the true hypothesis exceeds its threshold in a step with probability at most r of
-the rule (1 / alpha^2 by Chebyshev), any of n residuals with at most n r. An exclusion needs alarms in p consecutive steps, one
-of which is a multiple of p. So the true fault is excluded within T steps with probability at most floor(T / p) n r, for any
-dependence of the alarms. (1 / alpha^2)^p (B18, Proposition 5) would need independent alarms, but residuals that share a reading
-are dependent. At alpha = 2, n = 4 the bound exceeds 1: take alpha from `exclusion_alpha`. The bound holds where the start does
-not depend on the readings: a start at an alarm selects the readings that enter the first residuals. One step later all noise in
-the residuals is new.
+Guarantee in mode "corrected", for affine phi_l: with a curved one mean and variance are those at the reading. A residual of the
+true hypothesis exceeds its threshold in a step with probability at most r of the rule (1 / alpha^2 by Chebyshev), any of n
+residuals with at most n r. An exclusion needs alarms in p consecutive steps, one of which is a multiple of p. So the true fault
+is excluded within T steps with probability at most floor(T / p) n r, for any dependence of the alarms. (1 / alpha^2)^p (B18,
+Proposition 5) would need independent alarms, but residuals that share a reading are dependent. At alpha = 2, n = 4 the bound
+exceeds 1: take alpha from `exclusion_alpha`. The bound holds where the start does not depend on the readings: a start at an
+alarm selects the readings that enter the first residuals. One step later all noise in the residuals is new.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from fusion_sfdia.core.arguments import number, probability, require_unique, sho
 from fusion_sfdia.stochastic_thresholds import consensus_equations as equations
 from fusion_sfdia.stochastic_thresholds.consensus import MODES, Diagnosers
 from fusion_sfdia.stochastic_thresholds.consensus_equations import ENOUGH, UNKNOWN
-from fusion_sfdia.stochastic_thresholds.fault_functions import FaultFunction, effects_and_slopes, require_fault_functions
+from fusion_sfdia.stochastic_thresholds.fault_functions import FaultFunction, effects, require_fault_functions
 from fusion_sfdia.stochastic_thresholds.threshold_rules import alpha_for, false_alarm_of
 
 Array = NDArray[Any]
@@ -197,13 +197,13 @@ class FaultHypotheses:
         read = equations.noise_read(noise, state.error_bound)
         x, u = state.held[..., :n], reference[:, i, None]
         largest = np.max(self.areas.noise[i])
-        phi, change = effects_and_slopes(self.faults, x, u, e, np.sqrt(np.append(self.areas.noise[i], largest)))
-        M, g = row[:, :n] + change[..., :n], row[:, n + 1] + change[..., n]
-        value = x @ row[:, :n].T + row[:, n] * u[..., None] + row[:, n + 1] * e[..., None] + phi
+        phi = effects(self.faults, x, u, e, np.sqrt(np.append(self.areas.noise[i], largest)))
+        M, g = row[:, :n] + phi.slopes[..., :n], row[:, n + 1] + phi.slopes[..., n]
+        value = x @ row[:, :n].T + row[:, n] * u[..., None] + row[:, n + 1] * e[..., None] + phi.mean
         a = M[..., :1, 0].copy()
         drive = value[..., :1] - a * x[..., :1]
         M[..., 0, 0] = 0.0  # row 0 now gives the drive
-        variance = (M**2 @ read[..., :n, None])[..., 0] + g**2 * e_variance
+        variance = (M**2 @ read[..., :n, None])[..., 0] + g**2 * e_variance + phi.curvature
         estimate_bound = (np.abs(M) @ state.error_bound[..., :n, None])[..., 0] + np.abs(g) * e_bound
         memory = lam * state.deviation[..., :n]
         estimate = equations.private_term(value, state.residual[..., :n], lam)

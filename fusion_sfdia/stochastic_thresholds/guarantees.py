@@ -136,8 +136,9 @@ def excludable_faults(
 def exceeds_next(phi: Array, residual: Array, before: Array, after: Array, lam: float, alpha: float) -> Array:
     """(34), (35): whether a fault that adds phi to a residual lets it exceed its threshold in the next step.
 
-    residual: the present one; before, after: s now and in the next step. Of the estimator of hypothesis l phi is phi_p - phi_l,
-    and before and after are of that estimator, (38), (39), whose sd(chi_l) is at least sd(chi).
+    residual: the present one; before, after: s now and in the next step. Of the estimator of hypothesis l, (38), (39), before
+    and after are its own, and phi is phi_p - phi_l at the true state, so that what is left is its noise chi_l. For own states:
+    of a shared one residual and s of all who share it count, with their weights.
     """
     chi = after - lam * before
     upper, lower = alpha * before - residual, -alpha * before - residual

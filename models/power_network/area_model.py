@@ -18,7 +18,7 @@ class AreaModel(NamedTuple):
 
     Continuous: dx/dt = A x + B P_ref + L P_L + sum_j coupling[j] x_j. Over dt, the angles of the neighbours held:
     x+ = transition x + by_reference P_ref + by_load P_L + by_angles theta.
-    received: the neighbours' readings of their own angles, z of B18. shared: the area's readings of the neighbours' angles.
+    shared: the area's readings of the neighbours' angles.
     sharers: for each angle that the area knows, its own and its neighbours', the areas that read it (S^k of B18).
     """
 
@@ -34,7 +34,6 @@ class AreaModel(NamedTuple):
     by_angles: Array  # (4, k)
     process_cov: Array  # (4,) variances over dt
     noise_cov: Array  # (4,) variances of its own readings; a shared angle is read with that of an angle
-    received: tuple[str, ...]
     shared: tuple[str, ...]
     sharers: dict[str, tuple[str, ...]]
 
@@ -61,7 +60,6 @@ def area_model(model: NetworkModel, name: str) -> AreaModel:
         by_angles=model.area[i, :, 5:] * slope,
         process_cov=model.process_cov,
         noise_cov=np.array(NOISE_VARIANCE),
-        received=tuple(f"theta_{j}" for j in near),
         shared=tuple(f"theta_{j}@{name}" for j in near),
         sharers={k: (k, *model.network.neighbours(k)) for k in (name, *near)},
     )

@@ -19,7 +19,9 @@ from fusion_sfdia.models.power_network.operation import AreaFault, load_profile,
 from fusion_sfdia.models.power_network.parameters import load_steps
 from fusion_sfdia.models.power_network.simulation import run_network
 from fusion_sfdia.stochastic_thresholds.consensus import MODES, Diagnosers, initial_state, predict, take
+from fusion_sfdia.stochastic_thresholds.fault_functions import effects
 from fusion_sfdia.stochastic_thresholds.fault_hypotheses import NONE, NOT_ISOLATED, UNDECIDED, FaultHypotheses, exclusion_alpha
+from fusion_sfdia.stochastic_thresholds.guarantees import exceeds_next
 
 MODEL = network_model(unplugged=["3"])  # area 4 has an open tie
 AREAS = network_areas(MODEL)
@@ -108,8 +110,10 @@ def test_each_hypothesis_is_the_diagnoser_with_the_model_of_its_fault(mode: str,
         detection = knowing["none"]
 
 
-def test_a_curved_fault_function_counts_by_its_slope() -> None:
-    """phi = c x_2^2 in the row of p_m adds c y^2 to the estimate and (2 c y)^2 to the square of its slope by x_2."""
+def test_a_curved_fault_function_counts_to_second_order() -> None:
+    """phi = c x_2^2 in the row of p_m adds c (y^2 - v) to the estimate, where v is the variance of the reading y, 2 c y
+    to its slope by x_2, and 2 c^2 v^2 to the variance.
+    """
     c = 0.7
 
     def curved(x: Array, u: Array, e: Array) -> Array:
@@ -119,10 +123,56 @@ def test_a_curved_fault_function_counts_by_its_slope() -> None:
     start, reference, load = anything(5)
     begun = observer.begin(observer.idle(5), np.ones(5, bool), start)
     estimate, deviation, _ = observer._predict(begun, start, reference, load)
-    y, row = start.held[:, AREA, 2], AREAS.matrices[AREA, 2]
-    np.testing.assert_allclose(estimate[:, 1, 2] - estimate[:, 0, 2], c * y**2, rtol=1e-12, atol=1e-14)  # of estimates up to 10
-    more = ((row[2] + 2 * c * y) ** 2 - row[2] ** 2) * AREAS.noise[AREA, 2]
+    y, row, v = start.held[:, AREA, 2], AREAS.matrices[AREA, 2], AREAS.noise[AREA, 2]
+    np.testing.assert_allclose(estimate[:, 1, 2] - estimate[:, 0, 2], c * (y**2 - v), rtol=1e-9, atol=1e-14)  # of up to 10
+    more = ((row[2] + 2 * c * y) ** 2 - row[2] ** 2) * v + 2 * c**2 * v**2
     np.testing.assert_allclose(deviation[:, 1, 2] ** 2 - deviation[:, 0, 2] ** 2, more, rtol=1e-9, atol=1e-15)
+
+
+def test_moments_of_quadratic_fault_functions_are_exact() -> None:
+    """phi = b' z + z' A z / 2 of Gaussian z: E = phi - tr(A V) / 2 at what was read, Var beyond its slope tr(A V A V) / 2."""
+    rng = np.random.default_rng(3)
+    A, b, sigma = rng.standard_normal((5, 5)), rng.standard_normal(5), rng.uniform(0.5, 2.0, 5)
+    A, V = A + A.T, np.diag(sigma**2)
+
+    def phi(x: Array, u: Array, e: Array) -> Array:
+        z = np.concatenate([x, e[..., None]], axis=-1)
+        value = z @ b + np.einsum("...i,ij,...j->...", z, A, z) / 2
+        return np.stack([value, 0 * u, 2 * value, 0 * u], axis=-1)
+
+    z = rng.standard_normal((3, 5))
+    found = effects({"quadratic": phi}, z[:, None, :4], np.zeros((3, 1)), z[:, 4:], sigma)
+    mean = z @ b + np.einsum("bi,ij,bj->b", z, A, z) / 2 - np.trace(A @ V) / 2
+    # second differences over sigma of values up to some 100
+    np.testing.assert_allclose(found.mean[:, 0], np.stack([mean, 0 * mean, 2 * mean, 0 * mean], axis=-1), atol=1e-12)
+    np.testing.assert_allclose(found.slopes[:, 0, 0], b + z @ A, atol=1e-12)
+    beyond = np.trace(A @ V @ A @ V) / 2
+    np.testing.assert_allclose(found.curvature[:, 0], np.tile([beyond, 0.0, 4 * beyond, 0.0], (3, 1)), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("away", [0.0, 1.5, 3.0])
+def test_a_strongly_curved_true_fault_crosses_no_more_often_than_chebyshev_states(away: float) -> None:
+    """phi = c x_2^2 with x_2 `away` deviations of its reading from 0; to first order 2.8 % of draws crossed alpha = 10."""
+
+    def curved(x: Array, u: Array, e: Array) -> Array:
+        return np.stack([0 * u, 0 * u, 1e5 * x[..., 2] ** 2, 0 * u], axis=-1)
+
+    runs, rng, sigma, size = 4000, np.random.default_rng(1), np.sqrt(AREAS.noise), AREAS.size
+    observer = FaultHypotheses(AREAS, "4", {"curved": curved}, lam=LAM, alpha=10.0)
+    x, sides, zero = np.zeros((runs, *size[:2])), AREAS.network.topology.node.size, np.zeros((runs, size[0]))
+    x[:, AREA, 2] = away * sigma[AREA, 2]
+    y, shared = x + sigma * rng.standard_normal(x.shape), np.sqrt(AREAS.shared_noise) * rng.standard_normal((runs, sides))
+    now = take(AREAS, predict(AREAS, initial_state(AREAS, (runs,)), zero, zero, LAM, "corrected"), y, shared)
+    state = observer.begin(observer.idle(runs), np.ones(runs, bool), now)
+    x = MODEL.step(x, zero, zero)
+    x[:, AREA] += curved(np.broadcast_to(away * sigma[AREA, 2] * np.eye(4)[2], (runs, 4)), zero[:, 0], zero[:, 0])
+    state = observer.step(state, now, zero, zero, x + sigma * rng.standard_normal(x.shape), shared)
+    crossed = np.mean(np.abs(state.residual[:, 0, 2]) > 10 * state.deviation[:, 0, 2])
+    assert crossed <= 1 / 10**2
+    residual = state.residual[:, 0, 2]
+    assert abs(residual.mean()) < 4 * residual.std() / np.sqrt(
+        runs
+    )  # without the mean of second order at 0: 45 standard errors
 
 
 @pytest.mark.parametrize("name", FAULTS)
@@ -257,3 +307,39 @@ def test_the_true_fault_is_excluded_no_more_often_than_stated(noise: str) -> Non
         share, bound = shares_excluded(noise, alpha, rule, confirmations, runs)
         assert bound == pytest.approx(0.2, rel=1e-12)
         assert share <= bound + 3 * np.sqrt(bound * (1 - bound) / runs)
+
+
+def test_a_hypothesis_whose_difference_from_the_true_fault_is_large_enough_crosses_its_threshold() -> None:
+    """(38), (39) by `exceeds_next`, for p_m and p_v of area 5 with a sign flip of its input, hypothesis no fault, alpha = 5."""
+    model, runs = network_model(noise="small"), 50
+    areas, flip = network_areas(model), fault_function(model, AreaFault("input-gain", "5", -1.0))
+    observer = FaultHypotheses(areas, "5", {"none": nothing}, alpha=5.0)
+    rng, size = np.random.default_rng(2), (runs, *areas.size[:2])
+    sigma, sides, zero = np.sqrt(areas.noise), areas.network.topology.node.size, np.zeros((runs, areas.size[0]))
+    area = areas.network.topology.index("5")
+    x, now, state, sure = np.zeros(size), initial_state(areas, (runs,)), observer.idle(runs), 0
+    for k in range(30):
+        reference = np.zeros_like(zero)
+        reference[:, area] = rng.uniform(-0.5, 0.5, runs)  # the limit of the reference
+        after = model.step(x, reference, zero)
+        phi = flip(x[:, area], reference[:, area], zero[:, area])
+        after[:, area] += phi
+        after += np.sqrt(areas.process_variance) * rng.standard_normal(size)
+        y = after + sigma * rng.standard_normal(size)
+        shared = after[:, areas.network.topology.neighbour, 0] + np.sqrt(areas.shared_noise) * rng.standard_normal(
+            (runs, sides)
+        )
+        before, started = state, k > 1
+        state = observer.step(state, now, reference, zero, y, shared)
+        now = take(areas, predict(areas, now, reference, zero, LAM, "corrected"), y, shared)
+        if k == 1:
+            state = observer.begin(state, np.ones(runs, bool), now)
+        if not started:
+            x = after
+            continue
+        e, s, s_after = (a[:, 0, 2:4] for a in (before.residual, before.deviation, state.deviation))
+        known = exceeds_next(phi[:, 2:], e, s, s_after, LAM, observer.alpha)
+        crossed = np.abs(state.residual[:, 0, 2:4]) > observer.alpha * s_after
+        assert np.all(crossed[known])  # |chi| beyond 5 deviations has a probability below 1e-6
+        sure, x = sure + int(known.sum()), after
+    assert sure > 100

@@ -28,7 +28,7 @@ def test_an_area_predicts_itself_from_what_crosses_its_border() -> None:
 
 def test_what_crosses_the_border_of_an_area() -> None:
     area = area_model(network_model(unplugged=["13"]), "4")
-    assert area.received == ("theta_3", "theta_5") and area.shared == ("theta_3@4", "theta_5@4")
+    assert area.shared == ("theta_3@4", "theta_5@4")
     assert area.sharers == {"4": ("4", "3", "5"), "3": ("3", "2", "4"), "5": ("5", "2", "4", "6")}
     owners = {s.name: s.owner for s in network_sensors(MODEL)}
     assert all(owners[name] == "area 4" for name in area.shared) and owners["theta_3"] == "area 3"
