@@ -92,3 +92,10 @@ def test_the_page_of_published_numbers_is_that_of_its_numbers(folder: Path, monk
         for name in v.met_by:
             own = v.ours[name]
             assert own.value == pytest.approx(v.published, rel=5e-3) or (own.low <= v.published <= own.high and v.near)
+
+
+def test_the_picture_of_the_choices_is_of_the_numbers(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(folder))
+    figure = importlib.import_module("choices_figure")
+    numbers = figure.numbers(figure.comparison.load(folder / "comparison.csv"))
+    assert figure.FILE.read_text(encoding="utf-8").endswith(figure.mark(numbers)), "run docs/results/choices_figure.py"
