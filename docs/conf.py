@@ -38,7 +38,7 @@ project = "fusion-sfdia"
 author = "fusion-sfdia authors"
 version = release = fusion_sfdia.__version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.viewcode", "sphinx_design"]
-exclude_patterns = ["_build", "README.md", "results/README.md", "examples", "**.ipynb_checkpoints"]
+exclude_patterns = ["_build", "README.md", "results/README.md", "examples", "paper", "**.ipynb_checkpoints"]
 suppress_warnings = ["myst.header"]  # a generated page goes from its title to the third level
 
 myst_enable_extensions = ["colon_fence", "deflist"]

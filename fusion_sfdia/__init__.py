@@ -1,4 +1,4 @@
-"""Sensor-fault detection, isolation and accommodation: five schools on one state-space interface.
+"""Sensor-fault detection, isolation and accommodation: three schools on one state-space interface.
 
 The public names are listed in __init__.pyi, which type checkers read, too. Each is imported at its first use, so that importing
 the package is fast.

@@ -1,7 +1,7 @@
-"""Fills the tables of the results pages and of the README: python docs/results/pages.py.
+"""Fills the tables of the results pages, of the README and of docs/paper: python docs/results/pages.py.
 
 People write a page but for its tables: what stands between `<!-- table: NAME -->` and `<!-- end -->` is made from
-comparison.csv, robustness.csv and papers.csv, and a test makes it again. papers.csv holds the numbers of the papers' own
+the CSV files beside this one, and a test makes it again. papers.csv holds the numbers of the papers' own
 experiments as they are shown: columns page, table, row, column, value, low, high, published; in LISTS `column` is the
 scenario, command or test that gives the number.
 """
@@ -19,9 +19,14 @@ sys.path.insert(0, str(HERE))
 
 import comparison  # noqa: E402  (beside this file)
 import findings  # noqa: E402
+import paper_numbers  # noqa: E402
 import robustness  # noqa: E402
 
-PAGES = (*(HERE / f"{name}.md" for name in ("README", *comparison.PLANTS)), HERE.parents[1] / "README.md")
+PAGES = (
+    *(HERE / f"{name}.md" for name in ("README", *comparison.PLANTS)),
+    HERE.parents[1] / "README.md",
+    HERE.parent / "paper" / "paper.md",
+)
 MARKED = re.compile(r"(<!-- table: ([\w-]+) -->\n\n)(.*?)(\n\n<!-- end -->)", re.DOTALL)
 LISTS = ("further", "speed")  # tables with one column of numbers
 PUBLISHED = "published"  # the column of published values, in tables that have one
@@ -37,6 +42,7 @@ CHOICES = (
     ("model error above the noise level; large faults", "chebyshev", "model"),
     ("bounded noise, no false alarm allowed; large faults", "adaptive-threshold", "model, noise bounds"),
 )
+MEASURES = ("AUC, bias of 3 sigma", "exact isolation, 10 sigma", "false isolation, model mismatch")
 
 
 def short(text: str) -> str:
@@ -44,37 +50,27 @@ def short(text: str) -> str:
     return "-" if text == comparison.ABSENT else f"{float(text.split()[0]):.2f}"
 
 
-def choices(rows: Sequence[comparison.Row]) -> str:
-    """Which detector for which situation, and what each achieves on the plants of the comparison, in their order."""
+def measured(rows: Sequence[comparison.Row], detector: str) -> tuple[list[str], ...]:
+    """Of a detector its values on the plants, a list for each of MEASURES."""
     index = comparison.index_of(rows)
 
-    def values(detector: str, fault: str, metric: str) -> str:
-        found = (comparison.interval(index.get((p, detector, fault, "all", metric))) for p in comparison.PLANTS)
-        return " / ".join(short(cell) for cell in found)
+    def values(fault: str, metric: str) -> list[str]:
+        return [short(comparison.interval(index.get((p, detector, fault, "all", metric)))) for p in comparison.PLANTS]
 
-    lines = []
-    for situation, detector, needs in CHOICES:
-        mismatch = " / ".join(short(comparison.worst(rows, p, detector, mismatch=True)) for p in comparison.PLANTS)
-        lines.append(
-            (
-                *(
-                    situation,
-                    f"`{detector}`" + " (default)" * (detector == robustness.DEFAULT),
-                    needs,
-                    values(detector, "bias-3-sigma", "auc"),
-                ),
-                *(values(detector, "graded-10-sigma", "exact_isolation"), mismatch),
-            )
+    mismatch = [short(comparison.worst(rows, p, detector, mismatch=True)) for p in comparison.PLANTS]
+    return values("bias-3-sigma", "auc"), values("graded-10-sigma", "exact_isolation"), mismatch
+
+
+def situations(rows: Sequence[comparison.Row] = ()) -> str:
+    """Which detector for which situation, what each needs and, given the comparison, what it achieves on the plants."""
+    lines = [
+        (
+            *(situation, f"`{detector}`" + " (default)" * (detector == robustness.DEFAULT), needs),
+            *(map(" / ".join, measured(rows, detector)) if rows else ()),
         )
-    header = (
-        "situation",
-        "detector",
-        "needs",
-        "AUC, bias of 3 sigma",
-        "exact isolation, 10 sigma",
-        "false isolation, model mismatch",
-    )
-    return comparison.table(header, lines)
+        for situation, detector, needs in CHOICES
+    ]
+    return comparison.table(("situation", "detector", "needs", *(MEASURES if rows else ())), lines)
 
 
 def of_plant(rows: Sequence[comparison.Row], plant: str) -> str:
@@ -121,7 +117,7 @@ def tables() -> dict[str, str]:
     """All tables by name."""
     rows = comparison.load(HERE / "comparison.csv")
     trust = robustness.trust(robustness.read_rows(robustness.NUMBERS))
-    found = {"choices": choices(rows), "findings": findings.findings(rows), "trust": trust} | {
+    found = {"choices": situations(), "findings": findings.findings(rows), "trust": trust, "paper": paper_numbers.table()} | {
         f"comparison-{plant}": of_plant(rows, plant) for plant in comparison.PLANTS
     }
     with (HERE / "papers.csv").open(encoding="utf-8", newline="") as file:

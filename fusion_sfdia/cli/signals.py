@@ -91,7 +91,8 @@ def ended_in_time(interruption: Interruption) -> Iterator[None]:
         yield
         return
     main, (read, write) = threading.get_ident(), os.pipe()
-    os.set_blocking(write, False)
+    if hasattr(os, "set_blocking"):  # Windows has it from Python 3.12 on, and needs it of no pipe
+        os.set_blocking(write, False)
     ended = threading.Event()
 
     def guard() -> None:
@@ -102,7 +103,7 @@ def ended_in_time(interruption: Interruption) -> Iterator[None]:
             return
         for _ in range(round((LAST - PATIENCE) / EACH)):
             if not interruption.acknowledged.is_set():
-                signal.pthread_kill(main, came)
+                _send(came, main)
             if ended.wait(EACH):
                 return
         with suppress(Exception):
@@ -120,6 +121,14 @@ def ended_in_time(interruption: Interruption) -> Iterator[None]:
         os.close(write)  # which ends the thread
         thread.join()
         os.close(read)
+
+
+def _send(number: int, thread: int) -> None:
+    """Send a signal to a thread of this process; Windows has no signals of threads, and Python handles any in the main one."""
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(thread, number)
+    else:
+        signal.raise_signal(number)
 
 
 def _without_interruptions(hook: Callable[[Any], object]) -> Callable[[Any], object]:

@@ -111,11 +111,33 @@ with handled() as interruption:
         print("ended", flush=True)
         raise SystemExit(interruption.code)
 """
+WITHOUT_THREADS = """
+import signal
+del signal.pthread_kill  # which Windows lacks
+from fusion_sfdia.cli.signals import ended_in_time, handled
+
+caught = 0
+with handled() as interruption:
+    try:
+        with ended_in_time(interruption):
+            print("ready", flush=True)
+            while True:
+                try:
+                    while True:
+                        pass
+                except KeyboardInterrupt:  # the first is discarded, the second is sent by the guard
+                    caught += 1
+                    if caught == 2:
+                        raise
+    except KeyboardInterrupt:
+        print("ended", flush=True)
+        raise SystemExit(interruption.code)
+"""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGINT])
-@pytest.mark.parametrize(("program", "last"), [(DEAF, "saved"), (ENDING, "ended")])
+@pytest.mark.parametrize(("program", "last"), [(DEAF, "saved"), (ENDING, "ended"), (WITHOUT_THREADS, "ended")])
 def test_a_signal_that_is_discarded_comes_again_and_then_ends_the_process(
     tmp_path: Path, root: Path, sent: int, program: str, last: str
 ) -> None:

@@ -115,3 +115,10 @@ def test_every_item_of_the_papers_leads_to_code_and_tests(root: Path, folder: Pa
                 assert re.search(
                     rf"(def|class) {name.rpartition('.')[2]}\b|^\s*{name.rpartition('.')[2]}\b.*[=:]", found, re.MULTILINE
                 ), one
+
+
+def test_the_picture_of_the_choices_is_of_the_numbers(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(folder))
+    figure = importlib.import_module("choices_figure")
+    numbers = figure.numbers(figure.comparison.load(folder / "comparison.csv"))
+    assert figure.FILE.read_text(encoding="utf-8").endswith(figure.mark(numbers)), "run docs/results/choices_figure.py"

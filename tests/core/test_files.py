@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NoReturn
 
 import pytest
@@ -216,3 +217,17 @@ def test_a_folder_or_file_has_one_writer_at_a_time(tmp_path: Path, root: Path) -
         raise AssertionError
     with locked_file(Path("/dev/stdout")):
         pass
+
+
+def test_without_locks_files_are_written_and_leftovers_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on Windows, which has no `fcntl`."""
+    monkeypatch.setattr(files, "sys", SimpleNamespace(platform="win32"))
+    monkeypatch.delattr(files, "fcntl", raising=False)
+    out, leftover = tmp_path / "out", tmp_path / ".fusion-sfdia.0"
+    leftover.touch()
+    with locked(out), all_or_none(out) as new, atomic_write(new / "a") as file:
+        file.write("whole")
+    with locked_file(out / "a"), atomic_write(out / "a") as file:
+        file.write("again")
+    assert [p.name for p in out.iterdir()] == ["a"] and (out / "a").read_text() == "again"
+    assert {p.name for p in tmp_path.iterdir()} == {"out", leftover.name}
