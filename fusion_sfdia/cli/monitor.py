@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from functools import partial
 from pathlib import Path
@@ -51,7 +50,7 @@ def add_monitor(commands: Any) -> None:
     )
     one.add_argument("--out", type=Path, metavar="DIR", help="folder of the results (default: monitor/ and the log's name)")
     one.add_argument("--force", action="store_true", help="write into a folder that is in use")
-    one.add_argument("--json", action="store_true", help="print the events as JSON")
+    one.add_argument("--json", action="store_true", help="print the diagnosis as JSON, see diagnosis.schema.json")
     one.set_defaults(work=_monitor)
 
 
@@ -102,8 +101,10 @@ def monitored(chosen: argparse.Namespace, out: Path, learnt: Any, say: Any) -> i
     """Diagnose the log `chosen.data` into a folder, with the monitor that `learnt` gives."""
     from fusion_sfdia.core.files import all_or_none, atomic_write, locked
     from fusion_sfdia.core.plain_text import plain
+    from fusion_sfdia.report.document import as_json
     from fusion_sfdia.report.log_page import About
     from fusion_sfdia.report.log_report import FILES, write_diagnosis
+    from fusion_sfdia.report.log_units import LogUnits
 
     with locked(out, force=chosen.force):
         monitor = learnt()
@@ -118,7 +119,5 @@ def monitored(chosen: argparse.Namespace, out: Path, learnt: Any, say: Any) -> i
                 file.write(plain(f"{monitor}\n\n{found}\n"))
     say(f"{found}\n{', '.join((OWN_FILE, *FILES))}: in {out}")
     if chosen.json:
-        header, rows = found.table()
-        entries = [dict(zip(header, row, strict=True)) for row in rows]
-        print(json.dumps([{k: None if v != v else v for k, v in e.items()} for e in entries], indent=2))
+        print(as_json(found, LogUnits(monitor.plant, data.columns), data, about))
     return int(data.misread)

@@ -27,12 +27,14 @@ class LogUnits:
 
     def __init__(self, plant: Plant, columns: Sequence[Source]) -> None:
         self.names = {s.name: s.name for s in plant.sensors}
+        self.tags: dict[str, str] = {}  # of the sensors that have a column
         self.factor, self.offset = np.ones(len(plant.sensors)), np.zeros(len(plant.sensors))  # plant = factor log + offset
         sensors = list(plant.sensors)
         for c in columns:
             if c.is_input:
                 continue
             s, title = sensors[c.position], split_title(c.title)[0]
+            self.tags[c.name] = title
             name = self.names[c.name] = c.name if title == c.name else f"{c.name} ({title})"
             self.factor[c.position], self.offset[c.position] = conversion(c.unit, s.unit)
             sigma, bound, period, step = (
@@ -42,7 +44,7 @@ class LogUnits:
                 s, name=name, unit=c.unit or s.unit, sigma=sigma, bound=bound, period=period, resolution=step or 0.0
             )
         self.same = bool(np.all(self.factor == 1) and np.all(self.offset == 0))  # then nothing is copied
-        self.own = plant.sensor_names
+        self.own, self.units = plant.sensor_names, tuple(s.unit for s in plant.sensors)
         self.plant = replace(plant, sensors=tuple(sensors))  # names, units and noise alone: its output is the plant's
 
     def readings(self, y: Array) -> Array:

@@ -269,7 +269,7 @@ def test_simulate_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Pa
     assert (code, err, len(drawn)) == (0, "", 2)
     assert drawn[0]["sensor"].startswith("m_") and drawn[1]["sensor"].startswith("p_")
     code, out, _ = call(capsys, "diagnose", "--force", "--data", "log.csv", "--detector", "loo-chi2", "--json")
-    events = json.loads(out)
+    events = json.loads(out)["events"]
     assert code == 0
     assert {e["hypothesis"]: e["start"] for e in events} == {f["sensor"]: f["onset"] for f in drawn}
     code, out, _ = call(capsys, "diagnose", "--force", "--data", "log.csv", "--detector", "loo-chi2")
@@ -294,7 +294,7 @@ def test_a_diagnosis_begins_with_the_process(capsys: pytest.CaptureFixture[str],
     told = f"`fusion-sfdia tune --plant two-tanks --detector {detector} --healthy HEALTHY.csv`"
     assert "the model is suspect and was not tuned" in out.splitlines()[-1] and told in out.splitlines()[-1]
     code, out, _ = call(capsys, *chosen, "--json")
-    (event,) = json.loads(out)
+    (event,) = json.loads(out)["events"]
     assert (event["kind"], event["hypothesis"], event["start"], event["open"]) == ("process", "outlet", 15.0, True)
 
 
