@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,7 @@ def _inspected(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.cli.tune import chosen_plant, tuned_entry
     from fusion_sfdia.core.files import all_or_none, atomic_write
     from fusion_sfdia.core.plain_text import plain
+    from fusion_sfdia.core.progress import progress
     from fusion_sfdia.inspection.inspection import inspect_plant
     from fusion_sfdia.inspection.text import as_json, as_text
 
@@ -59,6 +61,7 @@ def _inspected(chosen: argparse.Namespace) -> int:
             sensors=chosen.sensors,
             simulated=not chosen.no_simulation,
             tuned=None if chosen.tuned is None else tuned_entry(chosen.plant, chosen.detector, chosen.tuned),
+            each=partial(progress, what="inspecting"),
         )
     text, data = as_text(found), json.dumps(as_json(found), indent=2)
     if chosen.out is not None:

@@ -14,10 +14,12 @@ from fusion_sfdia.cli.options import (
     OR_TUNED,
     add_columns,
     add_detector,
+    add_ending,
     add_kept_monitor,
     add_plant,
     add_tuned,
     columns,
+    exit_code,
     kept_monitor,
     printed_warnings,
 )
@@ -72,7 +74,8 @@ def add_diagnose(commands: Any) -> None:
         metavar="DIR",
         help="folder of the results (default: diagnosis/ and the log's name)",
     )
-    one.add_argument("--force", action="store_true", help="write into a folder that is in use")
+    one.add_argument("--force", action="store_true", help="replace the diagnosis that is in the folder")
+    add_ending(one)
     one.add_argument("--json", action="store_true", help="print the diagnosis as JSON, see diagnosis.schema.json")
     one.set_defaults(work=_diagnose)
 
@@ -206,7 +209,8 @@ def _diagnose(chosen: argparse.Namespace) -> int:
         read = read or check_log(chosen.data, built.plant, chosen.map, **columns(chosen))
         anew = partial(detector, name) if chosen.tuned is None and chosen.healthy is None else None
         found = diagnose_log(chosen.data, built, out, read=read, held=True, detector_name=name, build=anew)
-    code = int(found.decisions.diverged.any() or found.state is Verdict.BLIND or read.misread)
+    failed = bool(found.decisions.diverged.any() or found.state is Verdict.BLIND or read.misread)
+    code = exit_code(chosen, found, failed=failed)
     shown_in = LogUnits(built.plant, read.columns)
     if chosen.json:
         print(as_json(found, shown_in, read, About(chosen.data.name, name)))

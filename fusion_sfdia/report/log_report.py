@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import sys
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
@@ -18,8 +17,9 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.detector import Detector, chosen
 from fusion_sfdia.core.files import all_or_none, atomic_write, locked
-from fusion_sfdia.core.plain_text import acting, cell, plain
+from fusion_sfdia.core.plain_text import cell, plain
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.progress import progress
 from fusion_sfdia.core.verdicts import Verdict
 from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run, present
 from fusion_sfdia.evaluation.events import ProcessEvent, open_questions
@@ -37,6 +37,8 @@ from fusion_sfdia.report.log_units import LogUnits
 from fusion_sfdia.report.plots import panels, time_series
 
 FILES = ("report.html", "events.csv", "reconstructed.csv", "scores.csv", "diagnosis.svg", "diagnosis.png")
+OWN_FILE = "monitor.txt"  # beside them, of a monitor
+OF_BEFORE = (*FILES, OWN_FILE)  # what a diagnosis in the same folder may have left
 MOST_PANELS = 6
 DIGITS = 4  # of a score
 UNNAMED = About("a log", "a detector")
@@ -82,21 +84,10 @@ def diagnose_log(
             found = explained_by_lag(detector, log, again(log), again)
         except ValueError as error:
             raise ValueError(f"{data}: {error}") from error
-        with all_or_none(out) as new:
+        with all_or_none(out, instead_of=OF_BEFORE) as new:
             about = About(data.name, detector_name or type(detector).__name__)
             write_diagnosis(new, plant, log.y, log.u, found, about, LogUnits(plant, loaded.columns))
     return found
-
-
-def progress(steps: Sequence[int]) -> Iterable[int]:
-    """The steps, with a bar on stderr while they last, where that is a terminal."""
-    if not sys.stderr.isatty():
-        return steps
-    from rich.console import Console
-    from rich.progress import track
-
-    console = Console(file=acting(sys.stderr))  # which may be told that a terminal is none
-    return track(steps, "diagnosing", console=console, transient=True) if console.is_terminal else steps
 
 
 def as_text(found: Diagnosis, detector: str) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import html
 import re
-import sys
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
@@ -27,7 +26,7 @@ from fusion_sfdia.logs.csv_log import read_log
 from fusion_sfdia.named import diagnose
 from fusion_sfdia.report.log_figures import MOST_POINTS, broken, thinned, time_axis
 from fusion_sfdia.report.log_page import About, write_page
-from fusion_sfdia.report.log_report import FILES, as_text, draw, progress, write_diagnosis
+from fusion_sfdia.report.log_report import FILES, as_text, draw, write_diagnosis
 from fusion_sfdia.report.log_units import LogUnits
 
 NEVER = 10**6
@@ -222,12 +221,6 @@ def test_a_long_line_is_drawn_with_its_extremes() -> None:
     kept = thinned(values)
     assert kept.size <= MOST_POINTS + 2 and {0, 17, 31_234, 49_999} <= set(kept.tolist())
     assert thinned(values[:100]).tolist() == list(range(100))
-
-
-def test_progress_is_shown_on_a_terminal_alone(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    assert list(progress(range(3))) == [0, 1, 2] and capsys.readouterr().err == ""
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    assert list(progress(range(3))) == [0, 1, 2] and "diagnosing" in capsys.readouterr().err
 
 
 def test_no_line_is_drawn_over_a_gap() -> None:
