@@ -39,9 +39,9 @@ def add_audit(commands: Any) -> None:
 
 def _audit(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.cli.tune import bound_detector
-    from fusion_sfdia.core.progress import progress
     from fusion_sfdia.evaluation.results import as_json, write_rows
     from fusion_sfdia.experiments.provenance import cores
+    from fusion_sfdia.report.progress import progress
     from fusion_sfdia.study.audit import audit
     from fusion_sfdia.study.protocol import GROUPS
 

@@ -41,9 +41,9 @@ def _inspected(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.cli.tune import chosen_plant, tuned_entry
     from fusion_sfdia.core.files import all_or_none, atomic_write
     from fusion_sfdia.core.plain_text import plain
-    from fusion_sfdia.core.progress import progress
     from fusion_sfdia.inspection.inspection import inspect_plant
     from fusion_sfdia.inspection.text import as_json, as_text
+    from fusion_sfdia.report.progress import progress
 
     if chosen.detector is not None and chosen.tuned is None:
         raise ValueError(

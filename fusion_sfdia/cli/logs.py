@@ -17,6 +17,7 @@ from fusion_sfdia.cli.options import (
     add_ending,
     add_kept_monitor,
     add_plant,
+    add_tables,
     add_tuned,
     columns,
     exit_code,
@@ -75,6 +76,7 @@ def add_diagnose(commands: Any) -> None:
         help="folder of the results (default: diagnosis/ and the log's name)",
     )
     one.add_argument("--force", action="store_true", help="replace the diagnosis that is in the folder")
+    add_tables(one)
     add_ending(one)
     one.add_argument("--json", action="store_true", help="print the diagnosis as JSON, see diagnosis.schema.json")
     one.set_defaults(work=_diagnose)
@@ -200,7 +202,7 @@ def _diagnose(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.registry import detector
     from fusion_sfdia.report.document import as_json
     from fusion_sfdia.report.log_page import About
-    from fusion_sfdia.report.log_report import FILES, as_text, diagnose_log
+    from fusion_sfdia.report.log_report import as_text, diagnose_log, files
     from fusion_sfdia.report.log_units import LogUnits
 
     out = chosen.out or Path("diagnosis") / chosen.data.stem
@@ -208,14 +210,15 @@ def _diagnose(chosen: argparse.Namespace) -> int:
         name, built, read = diagnosing_detector(chosen)
         read = read or check_log(chosen.data, built.plant, chosen.map, **columns(chosen))
         anew = partial(detector, name) if chosen.tuned is None and chosen.healthy is None else None
-        found = diagnose_log(chosen.data, built, out, read=read, held=True, detector_name=name, build=anew)
+        suffix = f".{chosen.tables}"
+        found = diagnose_log(chosen.data, built, out, read=read, held=True, detector_name=name, build=anew, suffix=suffix)
     failed = bool(found.decisions.diverged.any() or found.state is Verdict.BLIND or read.misread)
     code = exit_code(chosen, found, failed=failed)
     shown_in = LogUnits(built.plant, read.columns)
     if chosen.json:
         print(as_json(found, shown_in, read, About(chosen.data.name, name)))
         return code
-    print(f"{as_text(shown_in.diagnosis(found), name)}\n{', '.join(FILES)}: in {out}")
+    print(f"{as_text(shown_in.diagnosis(found), name)}\n{', '.join(files(suffix))}: in {out}")
     if found.health and found.health.suspect and chosen.tuned is None and chosen.healthy is None:
         print(_untuned(chosen))
     return code

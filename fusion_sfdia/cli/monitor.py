@@ -9,7 +9,7 @@ from pathlib import Path
 from textwrap import indent
 from typing import Any
 
-from fusion_sfdia.cli.options import add_absent_sensors, add_ending, add_names, exit_code, printed_warnings
+from fusion_sfdia.cli.options import add_absent_sensors, add_ending, add_names, add_tables, exit_code, printed_warnings
 from fusion_sfdia.core.numerals import integer
 
 
@@ -48,6 +48,7 @@ def add_monitor(commands: Any) -> None:
     )
     one.add_argument("--out", type=Path, metavar="DIR", help="folder of the results (default: monitor/ and the log's name)")
     one.add_argument("--force", action="store_true", help="replace the diagnosis that is in the folder")
+    add_tables(one)
     add_ending(one)
     one.add_argument("--json", action="store_true", help="print the diagnosis as JSON, see diagnosis.schema.json")
     one.set_defaults(work=_monitor)
@@ -100,12 +101,13 @@ def monitored(chosen: argparse.Namespace, out: Path, learnt: Any, say: Any) -> i
     """Diagnose the log `chosen.data` into a folder, with the monitor that `learnt` gives."""
     from fusion_sfdia.core.files import all_or_none, atomic_write, locked
     from fusion_sfdia.core.plain_text import plain
-    from fusion_sfdia.core.progress import working
     from fusion_sfdia.report.document import as_json
     from fusion_sfdia.report.log_page import About
-    from fusion_sfdia.report.log_report import FILES, OF_BEFORE, OWN_FILE, write_diagnosis
+    from fusion_sfdia.report.log_report import OF_BEFORE, OWN_FILE, files, write_diagnosis
     from fusion_sfdia.report.log_units import LogUnits
+    from fusion_sfdia.report.progress import working
 
+    suffix = f".{chosen.tables}"
     with locked(out, force=chosen.force):
         monitor = learnt()
         data = monitor.read(chosen.data, chosen.map, absent_sensors=chosen.absent_sensors)
@@ -114,10 +116,10 @@ def monitored(chosen: argparse.Namespace, out: Path, learnt: Any, say: Any) -> i
             found, log = monitor.diagnose(data), monitor.on_grid(data.log)
         about = About(chosen.data.name, "the monitor", basis="judged by healthy logs, without a model")
         with all_or_none(out, instead_of=OF_BEFORE) as new:
-            write_diagnosis(new, monitor.plant, log.y, log.u, found, about)
+            write_diagnosis(new, monitor.plant, log.y, log.u, found, about, LogUnits(monitor.plant, data.columns), suffix)
             with atomic_write(new / OWN_FILE) as file:
                 file.write(plain(f"{monitor}\n\n{found}\n"))
-    say(f"{found}\n{', '.join((OWN_FILE, *FILES))}: in {out}")
+    say(f"{found}\n{', '.join((OWN_FILE, *files(suffix)))}: in {out}")
     if chosen.json:
         print(as_json(found, LogUnits(monitor.plant, data.columns), data, about))
     return exit_code(chosen, found, failed=data.misread)

@@ -99,6 +99,16 @@ def add_ending(one: Any) -> None:
     one.add_argument("--quiet", action="store_true", help="print errors alone, and with --json the document")
 
 
+def add_tables(one: Any) -> None:
+    """Add the kind of file of the tables with a row a sample."""
+    one.add_argument(
+        "--tables",
+        choices=("csv", "xlsx", "parquet"),
+        default="csv",
+        help="kind of file of the reconstructed readings and the scores (default: csv)",
+    )
+
+
 def exit_code(chosen: argparse.Namespace, found: Diagnosis, *, failed: bool) -> int:
     """The exit code of a diagnosis: 1 where it failed, 3 where what --fail-on names was found, else 0."""
     from fusion_sfdia.core.verdicts import Verdict

@@ -125,8 +125,8 @@ def _tune(chosen: argparse.Namespace) -> int:
 
 
 def _tuned(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.core.progress import working
     from fusion_sfdia.registry import plant
+    from fusion_sfdia.report.progress import working
     from fusion_sfdia.tuning.tune import Source, tune
     from fusion_sfdia.tuning.words import as_text
 

@@ -79,11 +79,11 @@ def _at_work(chosen: argparse.Namespace) -> Iterator[Any]:
 
 def _diagnosed(paths: list[Path], settings: Mapping[str, Any], folder: Path, work_off: Any) -> tuple[list[Any], list[Any]]:
     """A row of each unit, and the units that differ."""
-    from fusion_sfdia.core.progress import progress
     from fusion_sfdia.core.signals import Signal
     from fusion_sfdia.experiments.parts import read_part
     from fusion_sfdia.experiments.workers import Piece
     from fusion_sfdia.learning.units import differing
+    from fusion_sfdia.report.progress import progress
     from fusion_sfdia.report.units_page import UnitRow
 
     parts = {folder / f"{k}.npz": path for k, path in enumerate(paths)}

@@ -20,12 +20,12 @@ class Clock(NamedTuple):
     def at(self, t: float) -> str:
         """A time t (s) in words: "2026-03-01 14:20:05+01:00", or "1205 s" without a start."""
         moment = self.moment(t)
-        return f"{t:.10g} s" if moment is None else _text(moment, " ")
+        return f"{t:.10g} s" if moment is None else stamp(moment)
 
     def iso(self, t: float) -> str | None:
         """A time t (s) for programs, by ISO 8601: "2026-03-01T14:20:05+01:00"; None without a start."""
         moment = self.moment(t)
-        return None if moment is None else _text(moment, "T")
+        return None if moment is None else stamp(moment, "T")
 
     def moment(self, t: float) -> datetime | None:
         """A time t (s) on the wall clock, with the time zone of the start; None without a start."""
@@ -44,7 +44,8 @@ class Clock(NamedTuple):
         return (moment.astimezone(UTC) - self.start.astimezone(UTC)).total_seconds()
 
 
-def _text(moment: datetime, sep: str) -> str:
+def stamp(moment: datetime, sep: str = " ") -> str:
+    """A moment as text by ISO 8601, but for sep, which is there "T"; milliseconds where they are not 0."""
     return moment.isoformat(sep=sep, timespec="milliseconds" if moment.microsecond else "seconds")
 
 

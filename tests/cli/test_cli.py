@@ -437,7 +437,7 @@ def test_a_full_disk_leaves_no_half_diagnosis(capsys: pytest.CaptureFixture[str]
 
     altered(len)
     capsys.readouterr()
-    monkeypatch.setattr("fusion_sfdia.report.log_report.write_log", full)
+    monkeypatch.setattr("fusion_sfdia.report.tables.write_lines", full)
     code, out, err = call(capsys, "diagnose", "--data", "other.csv", "--detector", "loo-chi2")
     assert (code, out) == (1, "")
     assert err == "fusion-sfdia: diagnosis/other/reconstructed.csv: No space left on device; make room, or name another place\n"

@@ -94,6 +94,11 @@ def test_people_see_the_tags_and_units_of_their_log_and_tables_those_of_the_plan
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert f"{told}." in page and "0.4319 m3/h" in page and "0.00012" not in page
     assert "sensor,q12,105.0,200.0,0.000119" in (tmp_path / "events.csv").read_text(encoding="utf-8")
+    header, row = (tmp_path / "reconstructed.csv").read_text(encoding="utf-8").splitlines()[:2]
+    flags = "LI1.PV flag,l2 flag,FI12.PV flag,q2 flag,replaced"
+    assert header == f"time [s],LI1.PV [mm],l2 [m],FI12.PV [m3/h],q2 [m3/s],inflow [m3/s],{flags}"
+    assert float(row.split(",")[1]) == pytest.approx(1000 * BOTH.decisions.reconstruction[0, 0], rel=1e-15)
+    assert (tmp_path / "scores.csv").read_text(encoding="utf-8").startswith("time_s,time,LI1.PV score,l2 score,FI12.PV score,")
 
 
 def test_a_size_is_a_difference_without_the_offset_of_its_unit() -> None:
@@ -199,6 +204,8 @@ def test_the_report_states_health_events_and_gaps(tmp_path: Path) -> None:
         rows = list(csv.DictReader(file))
     assert [k for k, row in enumerate(rows) if "l1" in row["replaced"].split(";")] == [5]
     assert [k for k, row in enumerate(rows) if "q12" in row["replaced"].split(";")] == list(range(20, 37))
+    assert rows[0]["wall clock"] == "2026-03-01 23:58:05+01:00"
+    assert [row["l1 flag"] for row in rows[3:7]] == ["1", "1", "9", "1"] and {row["q12 flag"] for row in rows[20:]} == {"4"}
     again = read_log(tmp_path / "reconstructed.csv", PLANT, other_columns=True)
     np.testing.assert_array_equal(again.y, wall.decisions.reconstruction)
 

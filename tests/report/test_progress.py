@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from fusion_sfdia.core.progress import progress, working
+from fusion_sfdia.report.progress import progress, working
 
 
 def test_progress_is_shown_on_a_terminal_alone(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
