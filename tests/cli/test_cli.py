@@ -329,6 +329,10 @@ def test_force_leaves_no_file_of_the_diagnosis_before(capsys: pytest.CaptureFixt
     assert call(capsys, "diagnose", *given)[0] == 0
     assert {p.name for p in (tmp_path / "out").iterdir()} == {*FILES, "notes.txt"}
     assert (tmp_path / "out" / "events.csv").read_text() != "before"
+    code, out, _ = call(capsys, "diagnose", *given, "--tables", "parquet")
+    assert code == 0 and "reconstructed.parquet, scores.parquet" in out
+    as_parquet = {name.replace(".csv", ".parquet") if name != "events.csv" else name for name in FILES}
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {*as_parquet, "notes.txt"}
 
 
 def test_simulate_with_a_fault_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
