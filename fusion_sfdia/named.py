@@ -10,7 +10,7 @@ from typing import Any
 from fusion_sfdia import registry
 from fusion_sfdia.builders import healthy_data
 from fusion_sfdia.core.detector import Detector
-from fusion_sfdia.core.log import as_log, one_run
+from fusion_sfdia.core.log import as_log, is_frame, one_run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.detectors import FALSE_ALARM
 from fusion_sfdia.evaluation.diagnose import SECONDS, Diagnosis, diagnose_run
@@ -19,7 +19,6 @@ from fusion_sfdia.logs.check import without_suspects
 from fusion_sfdia.logs.findings import LoadedLog
 from fusion_sfdia.logs.reading import load_log
 from fusion_sfdia.logs.regularity import regularities
-from fusion_sfdia.logs.tables import is_frame
 
 
 def diagnose(

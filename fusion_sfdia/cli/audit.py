@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -43,6 +41,7 @@ def _audit(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.cli.tune import bound_detector
     from fusion_sfdia.evaluation.results import as_json, write_rows
     from fusion_sfdia.experiments.provenance import cores
+    from fusion_sfdia.report.progress import progress
     from fusion_sfdia.study.audit import audit
     from fusion_sfdia.study.protocol import GROUPS
 
@@ -55,7 +54,7 @@ def _audit(chosen: argparse.Namespace) -> int:
         steps=chosen.steps,
         groups=chosen.groups or GROUPS,
         workers=chosen.workers or cores(),
-        each=_shown,
+        each=lambda done, count: iter(progress(done, "auditing", count)),
         name=name,
     )
     rows = found.rows()
@@ -74,14 +73,3 @@ def _built(plant: str, detector: str | None, tuned: Path | None) -> Any:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         return bound_detector(plant, detector, tuned)[1]
-
-
-def _shown(done: Iterator[Any], count: int) -> Iterator[Any]:
-    """The cases as they are done, with a bar and the time left on a terminal."""
-    from rich.console import Console
-    from rich.progress import track
-
-    from fusion_sfdia.core.plain_text import acting
-
-    console = Console(file=acting(sys.stderr))
-    yield from track(done, "auditing", count, console=console, transient=True, disable=not console.is_terminal)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,7 @@ def _inspected(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.core.plain_text import plain
     from fusion_sfdia.inspection.inspection import inspect_plant
     from fusion_sfdia.inspection.text import as_json, as_text
+    from fusion_sfdia.report.progress import progress
 
     if chosen.detector is not None and chosen.tuned is None:
         raise ValueError(
@@ -59,6 +61,7 @@ def _inspected(chosen: argparse.Namespace) -> int:
             sensors=chosen.sensors,
             simulated=not chosen.no_simulation,
             tuned=None if chosen.tuned is None else tuned_entry(chosen.plant, chosen.detector, chosen.tuned),
+            each=partial(progress, what="inspecting"),
         )
     text, data = as_text(found), json.dumps(as_json(found), indent=2)
     if chosen.out is not None:

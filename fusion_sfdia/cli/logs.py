@@ -14,14 +14,17 @@ from fusion_sfdia.cli.options import (
     OR_TUNED,
     add_columns,
     add_detector,
+    add_ending,
     add_kept_monitor,
     add_plant,
+    add_tables,
     add_tuned,
     columns,
+    exit_code,
     kept_monitor,
     printed_warnings,
 )
-from fusion_sfdia.core.numerals import integer
+from fusion_sfdia.core.numerals import for_json, integer
 from fusion_sfdia.registry import COMMISSIONED
 
 
@@ -72,8 +75,10 @@ def add_diagnose(commands: Any) -> None:
         metavar="DIR",
         help="folder of the results (default: diagnosis/ and the log's name)",
     )
-    one.add_argument("--force", action="store_true", help="write into a folder that is in use")
-    one.add_argument("--json", action="store_true", help="print the events as JSON")
+    one.add_argument("--force", action="store_true", help="replace the diagnosis that is in the folder")
+    add_tables(one)
+    add_ending(one)
+    one.add_argument("--json", action="store_true", help="print the diagnosis as JSON, see diagnosis.schema.json")
     one.set_defaults(work=_diagnose)
 
 
@@ -131,7 +136,7 @@ def _simulate(chosen: argparse.Namespace) -> int:
     readings = apply_faults(model, recording.t, recording.y, faults, chosen.seed, signal=recording.signal)
     write_log(chosen.out, model, recording.t, readings.y[:, 0], recording.u_of_runs[:, 0])
     if chosen.json:
-        print(json.dumps([{k: _finite(v) for k, v in asdict(f).items()} for f in faults], indent=2))
+        print(json.dumps(for_json([asdict(f) for f in faults]), indent=2))
         return 0
     count = len(faults)
     say = partial(print, file=sys.stderr if chosen.out == Path("/dev/stdout") else sys.stdout)
@@ -195,7 +200,9 @@ def _diagnose(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.core.verdicts import Verdict
     from fusion_sfdia.logs.check import check_log
     from fusion_sfdia.registry import detector
-    from fusion_sfdia.report.log_report import FILES, as_text, diagnose_log
+    from fusion_sfdia.report.document import as_json
+    from fusion_sfdia.report.log_page import About
+    from fusion_sfdia.report.log_report import as_text, diagnose_log, files
     from fusion_sfdia.report.log_units import LogUnits
 
     out = chosen.out or Path("diagnosis") / chosen.data.stem
@@ -203,19 +210,15 @@ def _diagnose(chosen: argparse.Namespace) -> int:
         name, built, read = diagnosing_detector(chosen)
         read = read or check_log(chosen.data, built.plant, chosen.map, **columns(chosen))
         anew = partial(detector, name) if chosen.tuned is None and chosen.healthy is None else None
-        found = diagnose_log(chosen.data, built, out, read=read, held=True, detector_name=name, build=anew)
-    code = int(found.decisions.diverged.any() or found.state is Verdict.BLIND or read.misread)
+        suffix = f".{chosen.tables}"
+        found = diagnose_log(chosen.data, built, out, read=read, held=True, detector_name=name, build=anew, suffix=suffix)
+    failed = bool(found.decisions.diverged.any() or found.state is Verdict.BLIND or read.misread)
+    code = exit_code(chosen, found, failed=failed)
+    shown_in = LogUnits(built.plant, read.columns)
     if chosen.json:
-        kinds = [{"kind": e.kind} if found.process_hypotheses else {} for e in found.events]
-        times = [{"start_time": found.clock.at(e.start), "end_time": found.clock.at(e.end)} for e in found.events]
-        entries = [
-            kind | {k: _finite(v) for k, v in asdict(e).items()} | when
-            for kind, e, when in zip(kinds, found.events, times, strict=True)
-        ]
-        print(json.dumps(entries, indent=2))
+        print(as_json(found, shown_in, read, About(chosen.data.name, name)))
         return code
-    shown = LogUnits(built.plant, read.columns).diagnosis(found)
-    print(f"{as_text(shown, name)}\n{', '.join(FILES)}: in {out}")
+    print(f"{as_text(shown_in.diagnosis(found), name)}\n{', '.join(files(suffix))}: in {out}")
     if found.health and found.health.suspect and chosen.tuned is None and chosen.healthy is None:
         print(_untuned(chosen))
     return code
@@ -236,8 +239,3 @@ def _by_monitor(chosen: argparse.Namespace) -> int:
     monitor = kept_monitor(chosen)
     say = partial(print, file=sys.stderr if chosen.json else sys.stdout, flush=True)
     return monitored(chosen, chosen.out or Path("diagnosis") / chosen.data.stem, lambda: monitor, say)
-
-
-def _finite(value: Any) -> Any:
-    """A value for JSON, in which infinities and NaN are null."""
-    return None if isinstance(value, float) and not abs(value) < float("inf") else value

@@ -9,12 +9,13 @@ import gc
 import io
 import os
 import sys
-from collections.abc import Sequence
-from contextlib import nullcontext, redirect_stderr, redirect_stdout
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout
 
 from fusion_sfdia import __version__
 from fusion_sfdia.cli.audit import add_audit
 from fusion_sfdia.cli.compiling import announced
+from fusion_sfdia.cli.completion import add_completion
 from fusion_sfdia.cli.fmu import add_fmu
 from fusion_sfdia.cli.init import add_init
 from fusion_sfdia.cli.inspect import add_inspect
@@ -37,7 +38,8 @@ def parser() -> argparse.ArgumentParser:
     top = OnceParser(
         prog="fusion-sfdia",
         description="Sensor-fault detection, isolation and accommodation.",
-        epilog="Exit codes: 0 done, 1 some work failed or diverged, 2 input that does not fit, 128 and its number by a signal.",
+        epilog="Exit codes: 0 done, 1 some work failed or diverged, 2 input that does not fit, 3 found what --fail-on names, "
+        "128 and its number by a signal.",
         allow_abbrev=False,
     )
     top.add_argument("--version", action="version", version=f"fusion-sfdia {__version__}")
@@ -58,6 +60,7 @@ def parser() -> argparse.ArgumentParser:
     add_fmu(commands)
     add_monitor(commands)
     add_bench(commands)
+    add_completion(commands)
     return top
 
 
@@ -76,7 +79,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         chosen = parser().parse_args(arguments)
         with handled() as interruption:
             chosen.interruption = interruption
-            return _interruptible(chosen, quiet=arguments is not None or chosen.command == "list")
+            silent = chosen.command in ("list", "completion") or getattr(chosen, "quiet", False)
+            return _interruptible(chosen, quiet=arguments is not None or silent)
 
 
 def _interruptible(chosen: argparse.Namespace, *, quiet: bool) -> int:
@@ -93,6 +97,13 @@ def _interruptible(chosen: argparse.Namespace, *, quiet: bool) -> int:
         resumes = "; repeat the same command to continue" if chosen.command in ("run", "compare") else ""
         print(f"fusion-sfdia: interrupted{resumes}", file=sys.stderr)
         return int(interruption.code)
+
+
+@contextmanager
+def _silent(chosen: argparse.Namespace) -> Iterator[None]:
+    """Nothing is printed in the block but JSON, and neither warnings nor progress; errors are, after it."""
+    with redirect_stderr(io.StringIO()), nullcontext() if chosen.json else redirect_stdout(io.StringIO()):
+        yield
 
 
 def detector_of(chosen: argparse.Namespace) -> str | None:
@@ -114,7 +125,8 @@ def _collect_less() -> None:
 def _done(chosen: argparse.Namespace) -> int:
     """The exit code of a command; errors that a user can act on are a line on standard error, unless a signal caused them."""
     try:
-        code: int = chosen.work(chosen)
+        with _silent(chosen) if getattr(chosen, "quiet", False) else nullcontext():
+            code: int = chosen.work(chosen)
         sys.stdout.flush()
         return code
     except BrokenPipeError:  # the reader of the output has closed it

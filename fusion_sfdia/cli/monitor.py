@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from functools import partial
 from pathlib import Path
 from textwrap import indent
 from typing import Any
 
-from fusion_sfdia.cli.options import add_absent_sensors, add_names, printed_warnings
+from fusion_sfdia.cli.options import add_absent_sensors, add_ending, add_names, add_tables, exit_code, printed_warnings
 from fusion_sfdia.core.numerals import integer
-
-OWN_FILE = "monitor.txt"
 
 
 def add_monitor(commands: Any) -> None:
@@ -50,8 +47,10 @@ def add_monitor(commands: Any) -> None:
         "network only, else tls://",
     )
     one.add_argument("--out", type=Path, metavar="DIR", help="folder of the results (default: monitor/ and the log's name)")
-    one.add_argument("--force", action="store_true", help="write into a folder that is in use")
-    one.add_argument("--json", action="store_true", help="print the events as JSON")
+    one.add_argument("--force", action="store_true", help="replace the diagnosis that is in the folder")
+    add_tables(one)
+    add_ending(one)
+    one.add_argument("--json", action="store_true", help="print the diagnosis as JSON, see diagnosis.schema.json")
     one.set_defaults(work=_monitor)
 
 
@@ -102,23 +101,25 @@ def monitored(chosen: argparse.Namespace, out: Path, learnt: Any, say: Any) -> i
     """Diagnose the log `chosen.data` into a folder, with the monitor that `learnt` gives."""
     from fusion_sfdia.core.files import all_or_none, atomic_write, locked
     from fusion_sfdia.core.plain_text import plain
+    from fusion_sfdia.report.document import as_json
     from fusion_sfdia.report.log_page import About
-    from fusion_sfdia.report.log_report import FILES, write_diagnosis
+    from fusion_sfdia.report.log_report import OF_BEFORE, OWN_FILE, files, write_diagnosis
+    from fusion_sfdia.report.log_units import LogUnits
+    from fusion_sfdia.report.progress import working
 
+    suffix = f".{chosen.tables}"
     with locked(out, force=chosen.force):
         monitor = learnt()
         data = monitor.read(chosen.data, chosen.map, absent_sensors=chosen.absent_sensors)
         say(f"{chosen.data}:\n{indent(str(data), '  ')}")
-        with printed_warnings():
+        with printed_warnings(), working("diagnosing"):
             found, log = monitor.diagnose(data), monitor.on_grid(data.log)
         about = About(chosen.data.name, "the monitor", basis="judged by healthy logs, without a model")
-        with all_or_none(out) as new:
-            write_diagnosis(new, monitor.plant, log.y, log.u, found, about)
+        with all_or_none(out, instead_of=OF_BEFORE) as new:
+            write_diagnosis(new, monitor.plant, log.y, log.u, found, about, LogUnits(monitor.plant, data.columns), suffix)
             with atomic_write(new / OWN_FILE) as file:
                 file.write(plain(f"{monitor}\n\n{found}\n"))
-    say(f"{found}\n{', '.join((OWN_FILE, *FILES))}: in {out}")
+    say(f"{found}\n{', '.join((OWN_FILE, *files(suffix)))}: in {out}")
     if chosen.json:
-        header, rows = found.table()
-        entries = [dict(zip(header, row, strict=True)) for row in rows]
-        print(json.dumps([{k: None if v != v else v for k, v in e.items()} for e in entries], indent=2))
-    return int(data.misread)
+        print(as_json(found, LogUnits(monitor.plant, data.columns), data, about))
+    return exit_code(chosen, found, failed=data.misread)

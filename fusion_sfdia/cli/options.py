@@ -14,11 +14,13 @@ from fusion_sfdia.registry import COMMISSIONED, DEFAULT_DETECTOR
 
 if TYPE_CHECKING:
     from fusion_sfdia.core.plant import Plant
+    from fusion_sfdia.evaluation.diagnose import Diagnosis
     from fusion_sfdia.logs.findings import LoadedLog
 
 WHICH = "a name that `list` shows, module:attribute or path/file.py:attribute"
 OR_TUNED = f"{DEFAULT_DETECTOR}, or that of --tuned where `list` shows it"
 PLANT = "gas-pipeline"
+FAIL_ON, FOUND = ("fault", "process", "suspect"), 3  # the last is the exit code
 OF_COLUMNS = ("absent_sensors", "other_columns", "nominal_inputs")
 
 
@@ -84,6 +86,43 @@ def loaded(chosen: argparse.Namespace, path: Path, plant: Plant) -> LoadedLog:
     from fusion_sfdia.logs.check import check_log, without_suspects
 
     return without_suspects(plant, check_log(path, plant, chosen.map, **columns(chosen)))
+
+
+def add_ending(one: Any) -> None:
+    """Add how a diagnosis ends: its exit code, and whether it says so."""
+    one.add_argument(
+        "--fail-on",
+        choices=FAIL_ON,
+        help="exit with 3 where a sensor is named (fault), or that or the process (process), or where anything but healthy is "
+        "concluded, or the model is suspect (suspect)",
+    )
+    one.add_argument("--quiet", action="store_true", help="print errors alone, and with --json the document")
+
+
+def add_tables(one: Any) -> None:
+    """Add the kind of file of the tables with a row a sample."""
+    one.add_argument(
+        "--tables",
+        choices=("csv", "xlsx", "parquet"),
+        default="csv",
+        help="kind of file of the reconstructed readings and the scores (default: csv)",
+    )
+
+
+def exit_code(chosen: argparse.Namespace, found: Diagnosis, *, failed: bool) -> int:
+    """The exit code of a diagnosis: 1 where it failed, 3 where what --fail-on names was found, else 0."""
+    from fusion_sfdia.core.verdicts import Verdict
+    from fusion_sfdia.evaluation.events import EVEN
+
+    state = found.state
+    named = state in (Verdict.SENSOR, Verdict.PROCESS)
+    holds = {
+        None: False,
+        "fault": named and any(e.kind == "sensor" and not e.confidence < EVEN for e in found.events),
+        "process": named,
+        "suspect": state is not Verdict.HEALTHY or bool(found.health and found.health.suspect),
+    }
+    return 1 if failed else FOUND * holds[chosen.fail_on]
 
 
 def add_names(one: Any, option: str, what: str, default: list[str] | None = None) -> None:

@@ -126,6 +126,7 @@ def _tune(chosen: argparse.Namespace) -> int:
 
 def _tuned(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.registry import plant
+    from fusion_sfdia.report.progress import working
     from fusion_sfdia.tuning.tune import Source, tune
     from fusion_sfdia.tuning.words import as_text
 
@@ -137,15 +138,16 @@ def _tuned(chosen: argparse.Namespace) -> int:
         warn_of(path, one.brief)
     count = sum(len(one.log.t) for one in logs)
     print(f"fusion-sfdia: learning from {count} samples; this may take minutes", file=sys.stderr)
-    tuned = tune(
-        model,
-        *(one.log for one in logs),
-        false_alarm=chosen.false_alarm,
-        detector=named_detector(chosen),
-        strict=chosen.strict,
-        sources=[Source(str(path), one.clock) for path, one in zip(chosen.healthy, logs, strict=True)],
-        made=date.today().isoformat(),
-    )
+    with working("learning"):
+        tuned = tune(
+            model,
+            *(one.log for one in logs),
+            false_alarm=chosen.false_alarm,
+            detector=named_detector(chosen),
+            strict=chosen.strict,
+            sources=[Source(str(path), one.clock) for path, one in zip(chosen.healthy, logs, strict=True)],
+            made=date.today().isoformat(),
+        )
     tuned.write(chosen.out)
     print(json.dumps(tuned.quality, indent=2) if chosen.json else f"{as_text(tuned)}\nin {chosen.out}")
     return 0

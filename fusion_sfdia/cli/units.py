@@ -27,6 +27,8 @@ def diagnose_units(chosen: argparse.Namespace) -> int:
         raise ValueError(
             f"{', '.join(given)} and --units: each unit is learnt from its own log; state its healthy part by --learn"
         )
+    if chosen.fail_on:
+        raise ValueError(f"--fail-on and --units: {TABLE} has the state of each unit; leave --fail-on out")
     paths = _paths(chosen.units)
     say = partial(print, file=sys.stderr if chosen.json else sys.stdout, flush=True)
     settings = {
@@ -77,17 +79,16 @@ def _at_work(chosen: argparse.Namespace) -> Iterator[Any]:
 
 def _diagnosed(paths: list[Path], settings: Mapping[str, Any], folder: Path, work_off: Any) -> tuple[list[Any], list[Any]]:
     """A row of each unit, and the units that differ."""
-    from rich.progress import track
-
     from fusion_sfdia.core.signals import Signal
     from fusion_sfdia.experiments.parts import read_part
     from fusion_sfdia.experiments.workers import Piece
     from fusion_sfdia.learning.units import differing
+    from fusion_sfdia.report.progress import progress
     from fusion_sfdia.report.units_page import UnitRow
 
     parts = {folder / f"{k}.npz": path for k, path in enumerate(paths)}
     pieces = [Piece(part, _unit, {**settings, "log": path.absolute()}) for part, path in parts.items()]
-    done = {one.path: one for one in track(work_off(pieces), "units", len(pieces), disable=not sys.stderr.isatty())}
+    done = {one.path: one for one in progress(work_off(pieces), "units", len(pieces))}
     rows: list[UnitRow] = []
     means: dict[tuple[tuple[str, str], ...], dict[str, Any]] = {}
     for part, path in parts.items():

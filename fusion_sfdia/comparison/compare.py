@@ -29,6 +29,7 @@ from fusion_sfdia.comparison.subjects import (
 from fusion_sfdia.core.arguments import shown, whole
 from fusion_sfdia.core.detector import MissingPackageError
 from fusion_sfdia.core.files import atomic_write
+from fusion_sfdia.core.html import as_html
 from fusion_sfdia.evaluation.cases import ComparisonCases
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.runner import run_scenarios
@@ -125,6 +126,15 @@ class ComparisonResult:
             if row.metric == "rank":
                 found.setdefault(row.plant, {}).setdefault(row.quantity, {})[row.detector] = int(row.value)
         return found
+
+    def _repr_html_(self) -> str:
+        ranks = [
+            (plant, criterion, ", ".join(sorted(of, key=lambda name: of[name])))
+            for plant, by_criterion in self.ranks.items()
+            for criterion, of in by_criterion.items()
+        ]
+        failed = f"{len(self.failures)} pieces of work failed" if self.failures else ""
+        return as_html("Comparison of detectors", failed, ("plant", "criterion", "detectors, the best first"), ranks)
 
     def frame(self) -> Any:
         """The rows as a pandas DataFrame, a column for each of metrics.csv; MissingPackageError without pandas."""

@@ -19,12 +19,20 @@ class Clock(NamedTuple):
 
     def at(self, t: float) -> str:
         """A time t (s) in words: "2026-03-01 14:20:05+01:00", or "1205 s" without a start."""
-        if self.start is None:
-            return f"{t:.10g} s"
-        moment = self.start + timedelta(seconds=t)
-        if self.start.tzinfo is not None:  # on the clock of the zone, which may have changed in between
-            moment = (self.start.astimezone(UTC) + timedelta(seconds=t)).astimezone(self.start.tzinfo)
-        return moment.isoformat(sep=" ", timespec="milliseconds" if moment.microsecond else "seconds")
+        moment = self.moment(t)
+        return f"{t:.10g} s" if moment is None else stamp(moment)
+
+    def iso(self, t: float) -> str | None:
+        """A time t (s) for programs, by ISO 8601: "2026-03-01T14:20:05+01:00"; None without a start."""
+        moment = self.moment(t)
+        return None if moment is None else stamp(moment, "T")
+
+    def moment(self, t: float) -> datetime | None:
+        """A time t (s) on the wall clock, with the time zone of the start; None without a start."""
+        if self.start is None or self.start.tzinfo is None:
+            return None if self.start is None else self.start + timedelta(seconds=t)
+        # on the clock of the zone, which may have changed in between
+        return (self.start.astimezone(UTC) + timedelta(seconds=t)).astimezone(self.start.tzinfo)
 
     def seconds(self, moment: datetime) -> float:
         """Seconds from the start to a moment, which need not be in the same zone; both state one, or neither does."""
@@ -34,6 +42,11 @@ class Clock(NamedTuple):
             return (moment - self.start).total_seconds()
         # in UTC: the difference of two stamps of one zone is that of their clocks, which may have changed in between
         return (moment.astimezone(UTC) - self.start.astimezone(UTC)).total_seconds()
+
+
+def stamp(moment: datetime, sep: str = " ") -> str:
+    """A moment as text by ISO 8601, but for sep, which is there "T"; milliseconds where they are not 0."""
+    return moment.isoformat(sep=sep, timespec="milliseconds" if moment.microsecond else "seconds")
 
 
 def within(t: NDArray[np.float64], between: str, clock: Clock, option: str = "--healthy") -> NDArray[np.bool_]:

@@ -14,11 +14,14 @@ import secrets
 import shutil
 import stat
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import IO, Any, Literal
+
+from fusion_sfdia.core.arguments import some
 
 if sys.platform != "win32":
     import fcntl
@@ -194,8 +197,13 @@ def require_free(out: Path, *, force: bool = False) -> None:
         raise ValueError(f"cannot write into {out}: {nearest} is a file; name a folder with --out")
     if not os.access(nearest, os.R_OK | os.W_OK | os.X_OK):
         raise ValueError(f"cannot write into {out}: no permission in {nearest}; name another folder with --out")
-    if out.exists() and not force and any(not p.name.startswith((TEMPORARY, LOCK)) for p in out.iterdir()):
-        raise ValueError(f"{out} is already used; name another folder with --out, or write into it with --force")
+    held = [p for p in out.iterdir() if not p.name.startswith((TEMPORARY, LOCK))] if out.exists() and not force else []
+    if held:
+        newest = datetime.fromtimestamp(max(p.lstat().st_mtime for p in held))
+        raise ValueError(
+            f"{out} is already used: it holds {some(sorted(p.name for p in held))}, the newest of {newest:%Y-%m-%d %H:%M}; "
+            "name another folder with --out, or replace what is there with --force"
+        )
 
 
 @contextmanager
@@ -240,10 +248,11 @@ def _only_writer(lock: Path, held: Path, another: str) -> Iterator[None]:
 
 
 @contextmanager
-def all_or_none(out: Path) -> Iterator[Path]:
+def all_or_none(out: Path, *, instead_of: Iterable[str] = ()) -> Iterator[Path]:
     """Yield a folder whose files move into `out` when the block ends without an error; otherwise `out` does not change.
 
-    Files of the same names are replaced, one at a time; if one fails, those before are restored. Others stay.
+    Files of the same names are replaced, one at a time; if one fails, those before are restored. Others stay, but for files
+    of these names, instead_of, which an earlier run has left.
     """
     near = next(p for p in (out, *out.parents) if p.exists())  # on the same disk
     with _held_temporary(near, lambda path: path.mkdir(0o700)) as temporary:
@@ -274,5 +283,7 @@ def all_or_none(out: Path) -> Iterator[Path]:
                 for name in moved:
                     os.replace(old / name, out / name) if name in present else (out / name).unlink()
                 raise
+            for former in {Path(name) for name in instead_of} - {*names}:
+                (out / former).unlink(missing_ok=True)
             for folder in {out / name.parent for name in names}:
                 _sync_folder(folder)

@@ -37,15 +37,16 @@ def as_log(
     """Return recorded readings of a plant as a Log.
 
     data: t (K,), y (K, ..., N), u (K, ..., m) as three arguments or one tuple, a Log, or a Recording, the names of whose
-    sensors and inputs must be the plant's; or a pandas frame with a column for each sensor and input, as `load_log` has
-    them. Its times are in a column `time`, in an index of that name, or in an index of time stamps or durations. Times are
-    in seconds. Only a frame may have time stamps, which become seconds since its first row, which then is at 0 s, and
-    durations (timedelta64), which become seconds. y and u may be frames with the names of sensors and inputs, in any order.
+    sensors and inputs must be the plant's; or a frame of pandas, Polars or Arrow with a column for each sensor and input, as
+    `load_log` has them. Its times are in a column `time`, in an index of that name, or in an index of time stamps or
+    durations. Times are in seconds. Only a frame may have time stamps, which become seconds since its first row, which then
+    is at 0 s, and durations (timedelta64), which become seconds. y and u may be frames with the names of sensors and inputs,
+    in any order.
     absent_sensors, other_columns, nominal_inputs: of a frame, as in `load_log`. ValueError for anything else, for shapes
     that do not fit, for no reading at all, for inputs that are missing, for inputs of a frame beyond their limits, and for
     time stamps in an array, which could be read as nanoseconds.
     """
-    if len(data) == 1 and type(data[0]).__module__.split(".")[0] == "pandas" and hasattr(data[0], "columns"):
+    if len(data) == 1 and is_frame(data[0]):
         t, y, u = _of_frame(plant, data[0], absent_sensors, other_columns, nominal_inputs)
     elif len(data) == 1 and all(hasattr(data[0], what) for what in ("t", "y", "u")):
         require_same_names(plant, data[0])
@@ -71,6 +72,20 @@ def as_log(
     if not t.size:
         raise ValueError("there are no readings: t is empty; pass at least one time")
     return Log(t, y, u)
+
+
+def is_frame(data: object) -> bool:
+    """Whether data is a table with named columns, which all of pandas, Polars and Arrow give by Arrow's C stream."""
+    return hasattr(data, "columns") and hasattr(data, "__arrow_c_stream__")
+
+
+def as_pandas(frame: Any) -> Any:
+    """A frame as one of pandas; another than pandas' own needs pyarrow."""
+    if type(frame).__module__.split(".")[0] == "pandas":
+        return frame
+    import pandas
+
+    return pandas.DataFrame.from_arrow(frame)
 
 
 def one_run(log: Log) -> Log:
@@ -114,12 +129,13 @@ def _of_frame(plant: Plant, frame: Any, absent: bool, other: bool, nominal: bool
 
 
 def _by_name(what: str, given: Any, names: Sequence[str]) -> Any:
-    """A pandas frame with the columns in the order of the names; anything else, also a frame with numbered columns, as it is.
+    """A frame with the columns in the order of the names; anything else, also a frame with numbered columns, as it is.
 
     ValueError for a frame that has other columns.
     """
+    given = as_pandas(given) if is_frame(given) else given
     columns = getattr(given, "columns", None)
-    if type(given).__module__.split(".")[0] != "pandas" or columns is None or columns.dtype.kind in "iu":
+    if columns is None or columns.dtype.kind in "iu":
         return given
     titles = [re.sub(r"\s*\[[^\[\]]*\]\s*$", "", str(title)).strip() for title in columns]
     if sorted(titles) != sorted(names):

@@ -55,6 +55,16 @@ def number_of(cell: Any) -> float:
     return value if math.isfinite(value) else math.nan
 
 
+def for_json(value: Any) -> Any:
+    """A value for JSON, in which infinities and NaN are null, and NumPy's scalars Python's; of dicts and lists every value."""
+    if isinstance(value, dict):
+        return {name: for_json(v) for name, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [for_json(v) for v in value]
+    value = value.item() if hasattr(value, "item") else value
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def _is_truth(cell: Any) -> bool:
     """Whether it is a truth value, Python's or NumPy's, whose class is called the same."""
     return type(cell).__name__ == "bool"

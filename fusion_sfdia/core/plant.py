@@ -20,6 +20,7 @@ from fusion_sfdia.core.covariance import diagonal, require_covariance
 from fusion_sfdia.core.cyclic import Cyclic, cyclic, near
 from fusion_sfdia.core.differentiable import with_jacobian
 from fusion_sfdia.core.equation import complex_step_holds, complex_step_jacobian, difference_jacobian
+from fusion_sfdia.core.html import as_html
 from fusion_sfdia.core.limits import within
 from fusion_sfdia.core.plant_checks import require_considered, require_kinds, require_shapes
 from fusion_sfdia.core.plant_groups import Numerics, OutputFunction, StepFunction, Structure, Truth
@@ -96,6 +97,11 @@ class Plant:
             )
         require_considered(self)
         require_shapes(self)
+
+    def _repr_html_(self) -> str:
+        sizes = f"{len(self.states)} states, {len(self.sensors)} sensors, {len(self.inputs)} inputs, dt {self.dt:g} s"
+        rows = [(s.name, s.measures, s.unit, s.noise_sigma) for s in self.sensors]
+        return as_html(self.name, sizes, ("sensor", "measures", "unit", "sigma"), rows)
 
     def _take_from_states(self) -> None:
         """Fill in x0 and the covariances that are not given; ValueError for a state whose signal does not give them."""

@@ -23,6 +23,7 @@ from fusion_sfdia.core.detector import (
     stack,
 )
 from fusion_sfdia.core.gaps import Gap, Track, bridged
+from fusion_sfdia.core.html import as_html
 from fusion_sfdia.core.log import Log, one_run
 from fusion_sfdia.core.model_errors import RAISED, failed
 from fusion_sfdia.core.plant import Plant
@@ -151,14 +152,27 @@ class Diagnosis:
         count = len(self.events)
         return f"<Diagnosis of {len(self.t)} readings, {count} event{'s' * (count != 1)}: {self.verdict}>"
 
+    def _repr_html_(self) -> str:
+        rows = [(e.hypothesis, self.clock.at(e.start), self.clock.at(e.end), e.told(self.clock)) for e in self.events]
+        return as_html(self.verdict, self.health.line if self.health else "", ("what", "from", "to", "in words"), rows)
+
     def frame(self) -> Any:
-        """The events as a pandas DataFrame, a column for each of events.csv; MissingPackageError without pandas."""
+        """The events as a pandas DataFrame, a column for each of events.csv; MissingPackageError without pandas.
+
+        start, end: time stamps with the log's zone, or durations where the log has seconds alone.
+        """
         try:
             pandas: Any = import_module("pandas")
         except ModuleNotFoundError as error:
             raise MissingPackageError("a frame needs pandas, which is not installed; install it, or use events") from error
         header, rows = self.table()
-        return pandas.DataFrame(rows, columns=header)
+        found, start = pandas.DataFrame(rows, columns=header), self.clock.start
+        for name in ("start", "end"):
+            t = pandas.to_timedelta(found[f"{name}_s"].astype(float), unit="s")
+            if start is not None and start.tzinfo is not None:  # in UTC, since the zone's clock may have changed in between
+                t = (pandas.Timestamp(start).tz_convert("UTC") + t).dt.tz_convert(start.tzinfo)
+            found[name] = t if start is None or start.tzinfo is not None else pandas.Timestamp(start) + t
+        return found
 
     def table(self) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
         """Names of columns and a row for each event; kind, sd and nominal only where the process is tested."""

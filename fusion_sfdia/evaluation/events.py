@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -57,6 +57,10 @@ class Event:
         doubts = [f"confidence {self.confidence:.2f}"] if self.confidence < CERTAIN else []
         doubts += [f"not excluded: {listed(self.alternatives)}"] if self.alternatives else []
         return "; ".join([f"{self.hypothesis}: {clock.at(self.start)} to {end}, {self.extent}", *doubts])
+
+    def fields(self, clock: Clock) -> dict[str, Any]:
+        """For programs: its kind, its fields by name, and its times by ISO 8601, None where the clock has no start."""
+        return {"kind": self.kind, **asdict(self), "start_time": clock.iso(self.start), "end_time": clock.iso(self.end)}
 
     @property
     def extent(self) -> str:

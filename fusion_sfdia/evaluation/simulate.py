@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import floats
+from fusion_sfdia.core.html import as_html
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import require_seeds, stream
 from fusion_sfdia.core.signals import Sensor
@@ -42,6 +43,13 @@ class Recording:
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     sensors: tuple[str, ...]
+
+    def _repr_html_(self) -> str:
+        (rows, runs), sensors = self.y.shape[:2], range(len(self.sensors))
+        span = f"{rows} readings from {self.t[0]:g} s to {self.t[-1]:g} s" if rows else "no readings"
+        known = [y[np.isfinite(y)] for y in (self.y[..., i] for i in sensors)]
+        of = [(n, *((v.min(), v.max()) if v.size else ("", ""))) for n, v in zip(self.sensors, known, strict=True)]
+        return as_html(f"Recording of {runs} run{'s' * (runs != 1)}", span, ("sensor", "lowest", "highest"), of)
 
     @property
     def u_of_runs(self) -> Array:

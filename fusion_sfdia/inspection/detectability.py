@@ -8,7 +8,7 @@ in which it does, 1 at the onset. The readings are those of the plant's high-fid
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -63,7 +63,7 @@ class Tried(NamedTuple):
         return min(fit, key=lambda t: t.size, default=None)
 
 
-def tried(plant: Plant, detectors: Sequence[Any], sensors: Sequence[str]) -> tuple[Tried, ...]:
+def tried(plant: Plant, detectors: Iterable[Any], sensors: Sequence[str]) -> tuple[Tried, ...]:
     """The detectors, named as in `registry.find_detector`, on the same runs with faults of these sensors.
 
     ArithmeticError where a simulated run leaves the limits of the model.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
@@ -90,6 +90,7 @@ def inspect_plant(
     sensors: Sequence[str] | None = None,
     simulated: bool = True,
     tuned: registry.NamedDetector | None = None,
+    each: Callable[[Sequence[Any]], Iterable[Any]] = iter,
 ) -> Inspection:
     """Examine a plant, given as in `registry.find_plant`: mistakes in its model, its step, observability and redundancy, and
     which sensor faults are found by which detector, from what size and after how long, by theory and in simulated runs.
@@ -97,7 +98,8 @@ def inspect_plant(
     healthy: readings of the real plant in order, as `as_log` takes them. detectors: of the simulated runs, by default one of
     each school; sensors: those with a fault. Up to 16 sensors all are tried, up to 80 four with the fast detectors, of more
     none, unless they are named. simulated: False leaves the runs out. tuned: a detector with thresholds for the real plant,
-    which is tried first, in place of the one that is registered by its name, and judged on `healthy`. With mistakes nothing
+    which is tried first, in place of the one that is registered by its name, and judged on `healthy`. each: wraps
+    the detectors of the runs, to show progress. With mistakes nothing
     further is examined: results would be those of another plant. ValueError for unknown names, and for data that do not fit.
     """
     found = registry.plant(plant)
@@ -124,9 +126,9 @@ def inspect_plant(
     runs: tuple[Tried, ...] = ()
     if simulated and chosen:
         usual = DETECTORS if len(found.sensors) <= SMALL else FAST
-        each = [registry.find_detector(what) for what in (usual if detectors is None else detectors)]
-        each = each if tuned is None else [tuned, *(entry for entry in each if entry.name != tuned.name)]
-        runs = _attempt(partial(tried, found, each, chosen), "simulation", remarks) or ()
+        entries = [registry.find_detector(what) for what in (usual if detectors is None else detectors)]
+        entries = entries if tuned is None else [tuned, *(entry for entry in entries if entry.name != tuned.name)]
+        runs = _attempt(partial(tried, found, each(entries), chosen), "simulation", remarks) or ()
         remarks += of_runs(runs, 0 if readings is None else readings.redundancy.faults)
     of_log = None if log is None else on_healthy(found, log, tuned or registry.find_detector(DETECTORS[0]))
     remarks += [] if of_log is None else of_healthy(found, of_log)

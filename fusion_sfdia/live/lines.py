@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.model_errors import RAISED
+from fusion_sfdia.core.numerals import for_json
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.verdicts import Verdict, far_off
 from fusion_sfdia.live.changes import Change
@@ -27,10 +27,9 @@ def change_line(change: Change, clock: Clock) -> str:
     found = {"event": change.what, "id": change.id, **_when(change.t, clock)}
     if change.event is None:
         return _json({**found, "reason": change.reason})
-    event = change.event
-    stamps = {} if clock.start is None else {"start_time": clock.at(event.start), "end_time": clock.at(event.end)}
-    known = {name: v for name, v in asdict(event).items() if name == "size" or (v not in ("", ()) and v == v)}
-    return _json({**found, "kind": event.kind, **known, **stamps})
+    fields = change.event.fields(clock)
+    known = {name: v for name, v in fields.items() if name == "size" or (v not in ("", (), None) and v == v)}
+    return _json({**found, **known})
 
 
 def sample_line(sample: Sample, plant: Plant, hypotheses: tuple[str, ...], clock: Clock) -> str:
@@ -130,15 +129,8 @@ def sensor_verdicts(plant: Plant, sample: Sample) -> list[str]:
 
 
 def _when(t: float, clock: Clock) -> dict[str, Any]:
-    return {"t": t} if clock.start is None else {"t": t, "time": clock.at(t)}
+    return {"t": t} if clock.start is None else {"t": t, "time": clock.iso(t)}
 
 
 def _json(found: dict[str, Any]) -> str:
-    return json.dumps({name: _finite(value) for name, value in found.items()}, ensure_ascii=False)
-
-
-def _finite(value: Any) -> Any:
-    """A value for JSON, in which infinities and NaN are null."""
-    if isinstance(value, dict):
-        return {name: _finite(v) for name, v in value.items()}
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+    return json.dumps(for_json(found), ensure_ascii=False)

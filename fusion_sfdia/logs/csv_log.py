@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from operator import add
 from pathlib import Path
 from typing import Any
 
@@ -26,13 +25,8 @@ Array = NDArray[Any]
 BLOCK = 10_000  # rows in memory as text
 
 
-def write_log(
-    path: str | Path, plant: Plant, t: Array, y: Array, u: Array | None = None, *, replaced: Array | None = None
-) -> None:
-    """Write t (K,), y (K, N) and, if given, u (K, m) so that read_log returns the same bits. ValueError for other shapes.
-
-    replaced (K, N): which sensors a last column names in each row.
-    """
+def write_log(path: str | Path, plant: Plant, t: Array, y: Array, u: Array | None = None) -> None:
+    """Write t (K,), y (K, N) and, if given, u (K, m) so that read_log returns the same bits. ValueError for other shapes."""
     t, y = floats("t", t), floats("y", y)
     u = np.empty((t.size, 0)) if u is None else floats("u", u)
     inputs = plant.inputs if u.size else ()
@@ -42,18 +36,8 @@ def write_log(
             f"(K, {len(plant.inputs)}) of plant {plant.name!r}: one run, without a batch"
         )
     named: tuple[Signal | Sensor, ...] = (TIME, *plant.sensors, *inputs)
-    header, names = [f"{c.name} [{c.unit}]" for c in named], np.array(plant.sensor_names)
-
-    def lines(rows: slice) -> Iterable[str]:
-        numbers = plain_lines(np.column_stack([t[rows], y[rows], u[rows]]))
-        if replaced is None:
-            return numbers
-        texts = [","] * len(numbers)
-        for k in np.flatnonzero(np.any(replaced[rows], axis=1)):
-            texts[k] += quoted(";".join(names[replaced[rows][k]]))
-        return map(add, numbers, texts)
-
-    write_lines(Path(path), header if replaced is None else [*header, "replaced"], t.size, lines)
+    header = [f"{c.name} [{c.unit}]" for c in named]
+    write_lines(Path(path), header, t.size, lambda rows: plain_lines(np.column_stack([t[rows], y[rows], u[rows]])))
 
 
 def write_lines(path: Path, header: Sequence[str], count: int, lines: Callable[[slice], Iterable[str]]) -> None:

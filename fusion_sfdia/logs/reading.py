@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import some
 from fusion_sfdia.core.detector import MissingPackageError
-from fusion_sfdia.core.log import Log, usual_inputs
+from fusion_sfdia.core.log import Log, is_frame, usual_inputs
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.logs.columns import Sources, require_columns_of
 from fusion_sfdia.logs.findings import Finding, LoadedLog, counted
@@ -23,7 +23,7 @@ from fusion_sfdia.logs.mask import masked_rows
 from fusion_sfdia.logs.order import Rows, in_order
 from fusion_sfdia.logs.overview import overview
 from fusion_sfdia.logs.problems import Problems
-from fusion_sfdia.logs.tables import Table, is_frame, read_table
+from fusion_sfdia.logs.tables import Table, read_table
 from fusion_sfdia.logs.times import UNKNOWN, Expected
 
 Array = NDArray[Any]
@@ -40,9 +40,10 @@ def load_log(
 ) -> LoadedLog:
     """Read a log of a plant: its readings and inputs in the plant's units, its wall-clock start, and what was found and done.
 
-    source: a pandas frame, or a file: CSV, Parquet, Arrow, Excel, TDMS, MDF. log_map: a LogMap or its file; without one the
-    columns have the plant's names, with or without their unit in brackets, and inputs acted until their row, as `simulate`
-    and `write_log` write them. Times are seconds, numbers since 1970 or ISO stamps; of the last two t begins at 0.
+    source: a frame of pandas, Polars or Arrow, or a file: CSV, Parquet, Arrow, Excel, TDMS, MDF. log_map: a LogMap or its
+    file; without one the columns have the plant's names, with or without their unit in brackets, and inputs acted until
+    their row, as `simulate` and `write_log` write them. Times are seconds, numbers since 1970 or ISO stamps; of the last two
+    t begins at 0.
     absent_sensors: a sensor without a column is NaN throughout. other_columns: columns that are neither are ignored.
     nominal_inputs: inputs without a column are the plant's operation (plant.input_at) at the reading before, or dt before
     where that is later. ValueError naming file, row (of a file the header is row 1) and column for anything else than times

@@ -11,6 +11,7 @@ from typing import IO, Any, NamedTuple
 
 from fusion_sfdia.core.arguments import shown, some
 from fusion_sfdia.core.detector import MissingPackageError
+from fusion_sfdia.core.log import as_pandas, is_frame
 from fusion_sfdia.logs.columns import split_title
 from fusion_sfdia.logs.delimited import Cells, listed, read_text
 from fusion_sfdia.logs.findings import Finding
@@ -67,18 +68,13 @@ class Table(NamedTuple):
         return f"{self.where}, row {self.rows[position]}"
 
 
-def is_frame(data: object) -> bool:
-    """Whether data is a pandas frame, without importing pandas."""
-    return type(data).__module__.split(".")[0] == "pandas" and hasattr(data, "columns")
-
-
 def read_table(source: Any, log_map: LogMap) -> Table:
-    """Return the table of a pandas frame or of a file, whose kind its first bytes show. ValueError naming the file.
+    """Return the table of a frame or of a file, whose kind its first bytes show. ValueError naming the file.
 
     A file is CSV or other delimited text, Parquet, Arrow, an Excel workbook, TDMS or MDF, and may be compressed.
     """
     if is_frame(source):
-        return _of_frame("the frame", source, log_map)
+        return _of_frame("the frame", as_pandas(source), log_map)
     path = Path(source)
     where, suffix = str(path), path.suffix.casefold()
     with path.open("rb") as opened:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import sys
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
@@ -16,29 +15,34 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.detector import Detector, chosen
+from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.files import all_or_none, atomic_write, locked
-from fusion_sfdia.core.plain_text import acting, cell, plain
+from fusion_sfdia.core.plain_text import cell, plain
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.verdicts import Verdict
 from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run, present
 from fusion_sfdia.evaluation.events import ProcessEvent, open_questions
 from fusion_sfdia.evaluation.lag import explained_by_lag
 from fusion_sfdia.logs.check import check_log, without_suspects
-from fusion_sfdia.logs.csv_log import write_lines, write_log
 from fusion_sfdia.logs.findings import LoadedLog
 from fusion_sfdia.logs.log_map import LogMap
-from fusion_sfdia.logs.plain import plain_lines, shortened
 from fusion_sfdia.logs.regularity import regularities
 from fusion_sfdia.report.figure_files import write_figure
 from fusion_sfdia.report.log_figures import broken, process_size, thinned, time_axis, time_line
 from fusion_sfdia.report.log_page import About, write_page
 from fusion_sfdia.report.log_units import LogUnits
 from fusion_sfdia.report.plots import panels, time_series
+from fusion_sfdia.report.progress import progress
+from fusion_sfdia.report.tables import SUFFIXES, reconstructed, scores, write_rows
 
 FILES = ("report.html", "events.csv", "reconstructed.csv", "scores.csv", "diagnosis.svg", "diagnosis.png")
+OWN_FILE = "monitor.txt"  # beside them, of a monitor
+OF_BEFORE = (
+    *FILES,
+    OWN_FILE,
+    *(f"{n}{s}" for n in ("reconstructed", "scores") for s in SUFFIXES),
+)  # what a diagnosis in the same folder may have left
 MOST_PANELS = 6
-DIGITS = 4  # of a score
 UNNAMED = About("a log", "a detector")
 
 
@@ -56,10 +60,11 @@ def diagnose_log(
     held: bool = False,
     detector_name: str = "",
     build: Callable[[Plant], Detector] | None = None,
+    suffix: str = ".csv",
 ) -> Diagnosis:
     """Diagnose a log with a detector and write FILES into the folder `out`; detector_name: for the report.
 
-    A bar shows the progress on a terminal.
+    A bar shows the progress on a terminal. suffix: as of `write_diagnosis`.
 
     log_map: how the log is written, see `load_log`. read: what `check_log` has found, where it was called already. Sensors
     whose unit looks wrong, and readings that only repeat the one before, are taken as missing: that is no fault. build: makes
@@ -82,21 +87,15 @@ def diagnose_log(
             found = explained_by_lag(detector, log, again(log), again)
         except ValueError as error:
             raise ValueError(f"{data}: {error}") from error
-        with all_or_none(out) as new:
+        with all_or_none(out, instead_of=OF_BEFORE) as new:
             about = About(data.name, detector_name or type(detector).__name__)
-            write_diagnosis(new, plant, log.y, log.u, found, about, LogUnits(plant, loaded.columns))
+            write_diagnosis(new, plant, log.y, log.u, found, about, LogUnits(plant, loaded.columns), suffix)
     return found
 
 
-def progress(steps: Sequence[int]) -> Iterable[int]:
-    """The steps, with a bar on stderr while they last, where that is a terminal."""
-    if not sys.stderr.isatty():
-        return steps
-    from rich.console import Console
-    from rich.progress import track
-
-    console = Console(file=acting(sys.stderr))  # which may be told that a terminal is none
-    return track(steps, "diagnosing", console=console, transient=True) if console.is_terminal else steps
+def files(suffix: str) -> list[str]:
+    """FILES, with another suffix of the tables with a row a sample."""
+    return [f.replace(".csv", suffix) if f in ("reconstructed.csv", "scores.csv") else f for f in FILES]
 
 
 def as_text(found: Diagnosis, detector: str) -> str:
@@ -118,37 +117,22 @@ def write_diagnosis(
     found: Diagnosis,
     about: About = UNNAMED,
     shown_in: LogUnits | None = None,
+    suffix: str = ".csv",
 ) -> None:
     """Write FILES into the folder: y (K, N) the readings as they came, u (K, m) the inputs.
 
-    shown_in: the names and units of the report and the figure; tables are in those of the plant.
+    shown_in: the names and units of all but events.csv, which has those of the plant. suffix: of the tables with a row a
+    sample, see `write_rows`.
     """
     header, rows = found.table()
     write_table(out / "events.csv", header, rows)
-    taken, made = present(y, found.decisions), found.decisions.reconstruction
-    write_log(out / "reconstructed.csv", plant, found.t, made, u, replaced=np.isfinite(made) & (made != taken))
-    _write_scores(out / "scores.csv", plant, found)
+    taken, of_log = present(y, found.decisions), shown_in or LogUnits(plant, ())
+    for name, table in (("reconstructed", reconstructed(y, u, found, of_log)), ("scores", scores(found, of_log))):
+        write_rows(out / f"{name}{suffix}", len(found.t), table)
     if shown_in is not None:
         plant, taken, found = shown_in.plant, shown_in.readings(taken), shown_in.diagnosis(found)
     write_figure(out, "diagnosis", lambda: draw(plant, taken, found))
     write_page(out / "report.html", plant, taken, found, about)
-
-
-def _write_scores(path: Path, plant: Plant, found: Diagnosis) -> None:
-    """Of each sample: its time, and of each sensor the score and the residual in standard deviations, empty where unknown."""
-    names = plant.sensor_names
-    header = ("time_s", "time", *(f"{name} score" for name in names), *(f"{name} residual [sd]" for name in names))
-
-    def lines(rows: slice) -> list[str]:
-        scores, t = chosen(found.decisions, rows).scores, found.t[rows]
-        with np.errstate(invalid="ignore"):
-            residuals = found.after.error[rows] / found.after.sd[rows] if found.after else np.full(scores.shape, np.nan)
-        values = plain_lines(shortened(np.concatenate([scores, residuals], axis=1), DIGITS))
-        return [
-            f"{s},{at},{v}" for s, at, v in zip(plain_lines(t[:, None]), map(found.clock.at, t.tolist()), values, strict=True)
-        ]
-
-    write_lines(path, header, found.t.size, lines)
 
 
 def write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:

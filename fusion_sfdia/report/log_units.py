@@ -26,13 +26,18 @@ class LogUnits:
     """
 
     def __init__(self, plant: Plant, columns: Sequence[Source]) -> None:
-        self.names = {s.name: s.name for s in plant.sensors}
+        self.of, self.names = plant, {s.name: s.name for s in plant.sensors}
+        self.tags: dict[str, str] = {}  # of the sensors that have a column
         self.factor, self.offset = np.ones(len(plant.sensors)), np.zeros(len(plant.sensors))  # plant = factor log + offset
-        sensors = list(plant.sensors)
+        sensors, self._inputs = list(plant.sensors), [(s.name, s.unit, 1.0, 0.0) for s in plant.inputs]
         for c in columns:
+            title = split_title(c.title)[0]
             if c.is_input:
+                unit = plant.inputs[c.position].unit
+                self._inputs[c.position] = (title, c.unit or unit, *conversion(c.unit, unit))
                 continue
-            s, title = sensors[c.position], split_title(c.title)[0]
+            s = sensors[c.position]
+            self.tags[c.name] = title
             name = self.names[c.name] = c.name if title == c.name else f"{c.name} ({title})"
             self.factor[c.position], self.offset[c.position] = conversion(c.unit, s.unit)
             sigma, bound, period, step = (
@@ -42,8 +47,26 @@ class LogUnits:
                 s, name=name, unit=c.unit or s.unit, sigma=sigma, bound=bound, period=period, resolution=step or 0.0
             )
         self.same = bool(np.all(self.factor == 1) and np.all(self.offset == 0))  # then nothing is copied
-        self.own = plant.sensor_names
+        self.own, self.units = plant.sensor_names, tuple(s.unit for s in plant.sensors)
         self.plant = replace(plant, sensors=tuple(sensors))  # names, units and noise alone: its output is the plant's
+
+    @property
+    def short(self) -> list[str]:
+        """Of each sensor its tag, or its name where it has no column."""
+        return [self.tags.get(name, name) for name in self.own]
+
+    def titles(self, *, inputs: bool) -> list[str]:
+        """Titles of columns as in the log, "FI130.PV [m3/h]": of the sensors and, where there are any, of the inputs."""
+        units = [s.unit for s in self.plant.sensors]
+        known = [*zip(self.short, units, strict=True), *((name, unit) for name, unit, *_ in (self._inputs if inputs else ()))]
+        return [f"{name} [{unit}]" for name, unit in known]
+
+    def inputs(self, u: Array) -> Array:
+        """Inputs (K, m) in the units of the log; of none also (K, 0)."""
+        if all((factor, offset) == (1, 0) for *_, factor, offset in self._inputs) or not u.size:
+            return u
+        factor, offset = np.array([(f, o) for *_, f, o in self._inputs]).T
+        return np.asarray((u - offset) / factor)
 
     def readings(self, y: Array) -> Array:
         """Readings (K, N) in the units of the log."""

@@ -27,6 +27,7 @@ from fusion_sfdia.comparison import protocol
 from fusion_sfdia.core.files import locked, locked_file
 from fusion_sfdia.evaluation.faults import FAULT_KINDS, Fault, load_faults
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
+from fusion_sfdia.report.log_report import FILES
 
 PLANT = gas_pipeline()
 HELPERS = Path(__file__).resolve().parents[1] / "helpers"
@@ -163,9 +164,9 @@ def test_a_damaged_part_is_a_note(capsys: pytest.CaptureFixture[str]) -> None:
         (("simulate", "--out", "x.csv", "--faults", "."), ".: Is a directory; name a file"),
         (("diagnose", "--data", "absent.csv"), "absent.csv: No such file or directory"),
         (("diagnose", "--data", "file"), "no column 'time'"),
-        (("diagnose", "--data", "file", "--out", "."), ". is already used; name another folder with --out"),
+        (("diagnose", "--data", "file", "--out", "."), ". is already used: it holds 'file', the newest of 20"),
         (("diagnose", "--data", "file", "--out", "file"), "file is a file; name a folder with --out"),
-        (("bench", "model", "--out", "."), ". is already used; name another folder with --out, or write into it with --force"),
+        (("bench", "model", "--out", "."), "; name another folder with --out, or replace what is there with --force"),
         (("bench", "model", "--seconds", "nan"), "positive time"),
     ],
 )
@@ -269,7 +270,7 @@ def test_simulate_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Pa
     assert (code, err, len(drawn)) == (0, "", 2)
     assert drawn[0]["sensor"].startswith("m_") and drawn[1]["sensor"].startswith("p_")
     code, out, _ = call(capsys, "diagnose", "--force", "--data", "log.csv", "--detector", "loo-chi2", "--json")
-    events = json.loads(out)
+    events = json.loads(out)["events"]
     assert code == 0
     assert {e["hypothesis"]: e["start"] for e in events} == {f["sensor"]: f["onset"] for f in drawn}
     code, out, _ = call(capsys, "diagnose", "--force", "--data", "log.csv", "--detector", "loo-chi2")
@@ -294,8 +295,44 @@ def test_a_diagnosis_begins_with_the_process(capsys: pytest.CaptureFixture[str],
     told = f"`fusion-sfdia tune --plant two-tanks --detector {detector} --healthy HEALTHY.csv`"
     assert "the model is suspect and was not tuned" in out.splitlines()[-1] and told in out.splitlines()[-1]
     code, out, _ = call(capsys, *chosen, "--json")
-    (event,) = json.loads(out)
+    (event,) = json.loads(out)["events"]
     assert (event["kind"], event["hypothesis"], event["start"], event["open"]) == ("process", "outlet", 15.0, True)
+
+
+def test_the_exit_code_states_what_was_found_where_that_is_asked_for(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    bank = f"{HELPERS / 'process_bank.py'}:ProcessBank"
+    for name, fault in (("healthy.csv", ()), ("faulty.csv", ("--fault", "strong-bias:level"))):
+        assert call(capsys, "simulate", "--plant", "two-tanks", "--steps", "120", "--out", name, *fault)[0] == 0
+    cases = {("healthy.csv", "loo-chi2"): (0, 0, 0), ("faulty.csv", "loo-chi2"): (3, 3, 3), ("healthy.csv", bank): (0, 3, 3)}
+    for (log, detector), codes in cases.items():
+        for on, code in zip(("fault", "process", "suspect"), codes, strict=True):
+            given = ("--data", log, "--detector", detector, "--plant", "two-tanks", "--force", "--quiet")
+            assert call(capsys, "diagnose", *given, "--fail-on", on) == (code, "", ""), (log, detector, on)
+    code, out, err = call(capsys, "diagnose", *given, "--json")
+    assert (code, err) == (0, "") and json.loads(out)["state"] == "process"
+    given = ("--quiet", "--plant", "two-tanks", "--detector", "loo-chi2", "--fail-on", "fault")
+    code, out, err = call(capsys, "diagnose", *given, "--data", "faulty.csv")
+    assert (code, out) == (2, "") and re.search(
+        r"faulty is already used: it holds 'diagnosis.png', .* the newest of 20\d\d-.*; name another folder with",
+        err,
+    )
+
+
+def test_force_leaves_no_file_of_the_diagnosis_before(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert call(capsys, "simulate", "--plant", "two-tanks", "--steps", "20", "--out", "log.csv")[0] == 0
+    (tmp_path / "out").mkdir()
+    for name in ("monitor.txt", "notes.txt", "events.csv"):
+        (tmp_path / "out" / name).write_text("before")
+    given = ("--plant", "two-tanks", "--detector", "loo-chi2", "--data", "log.csv", "--out", "out", "--force")
+    assert call(capsys, "diagnose", *given)[0] == 0
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {*FILES, "notes.txt"}
+    assert (tmp_path / "out" / "events.csv").read_text() != "before"
+    code, out, _ = call(capsys, "diagnose", *given, "--tables", "parquet")
+    assert code == 0 and "reconstructed.parquet, scores.parquet" in out
+    as_parquet = {name.replace(".csv", ".parquet") if name != "events.csv" else name for name in FILES}
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {*as_parquet, "notes.txt"}
 
 
 def test_simulate_with_a_fault_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -404,7 +441,7 @@ def test_a_full_disk_leaves_no_half_diagnosis(capsys: pytest.CaptureFixture[str]
 
     altered(len)
     capsys.readouterr()
-    monkeypatch.setattr("fusion_sfdia.report.log_report.write_log", full)
+    monkeypatch.setattr("fusion_sfdia.report.tables.write_lines", full)
     code, out, err = call(capsys, "diagnose", "--data", "other.csv", "--detector", "loo-chi2")
     assert (code, out) == (1, "")
     assert err == "fusion-sfdia: diagnosis/other/reconstructed.csv: No space left on device; make room, or name another place\n"

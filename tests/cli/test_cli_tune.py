@@ -58,14 +58,14 @@ def test_tune_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Path, 
     diagnose = ("diagnose", *plant, "--data", "c.csv", "--json", "--force")
     code, out, _ = call(capsys, *diagnose, "--tuned", "tuned.toml")
     assert code == 0
-    tuned = json.loads(out)
+    tuned = json.loads(out)["events"]
     assert "s0" in [e["hypothesis"] for e in tuned if 230 <= e["start"] <= 234]
     reads: list[Any] = []
     with monkeypatch.context() as patch:
         patch.setattr("fusion_sfdia.logs.reading.read_table", lambda *given: reads.append(given) or read_table(*given))
         code, out, _ = call(capsys, *diagnose, "--healthy", "..220")
     assert len(reads) == 1
-    assert code == 0 and "s0" in [e["hypothesis"] for e in json.loads(out) if 230 <= e["start"] <= 234]
+    assert code == 0 and "s0" in [e["hypothesis"] for e in json.loads(out)["events"] if 230 <= e["start"] <= 234]
 
     # of another noise than the plant's, because nothing may have been learnt
     assert call(capsys, *tune, "--detector", "robust-glr", "--out", "bank.toml")[0] == 0

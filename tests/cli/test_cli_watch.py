@@ -13,6 +13,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from diagnosis_schema import require_event
 from toy_plants import readings, tanks
 
 from fusion_sfdia.cli.main import main
@@ -152,7 +153,8 @@ def test_a_map_states_how_rows_are_written(
     isolated = [[name in s["isolated"] for name in tanks().sensor_names] for s in found if s["event"] == "sample"]
     np.testing.assert_array_equal(isolated, expected.decisions.isolated)
     opened = next(e for e in found if e["event"] == "opened" and e["hypothesis"] == "l1")
-    assert opened["time"] == opened["start_time"] == "2026-03-01 00:05:05+01:00"
+    assert opened["time"] == opened["start_time"] == "2026-03-01T00:05:05+01:00"
+    require_event(opened)
 
 
 @pytest.mark.parametrize("stuck", ["inf", "Bad", "ON", "1.5e999", "7 bar", '"1,234"'])

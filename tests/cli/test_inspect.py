@@ -38,7 +38,7 @@ def test_a_plant_without_a_mistake_is_ready(capsys: pytest.CaptureFixture[str], 
     assert (out / "inspection.txt").read_text(encoding="utf-8") == text
     assert json.loads((out / "inspection.json").read_text(encoding="utf-8"))["ready"] is True
     assert main(command) == 2
-    assert "is already used; name another folder with --out, or write into it with --force" in capsys.readouterr().err
+    assert "name another folder with --out, or replace what is there with --force" in capsys.readouterr().err
 
 
 def test_a_plant_with_a_mistake_is_not(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnosis_schema import require_described
 
 from fusion_sfdia.cli.main import main
 from fusion_sfdia.core.log import Log
@@ -56,8 +57,10 @@ def test_a_log_is_diagnosed_and_what_was_learnt_is_kept(
     command = ["monitor", *healthy, "--data", data, "--save", kept, "--out", str(out)]
     assert main([*command, "--json"]) == 0
     shown = capsys.readouterr()
-    events = {e["hypothesis"]: e for e in json.loads(shown.out) if e["kind"] == "sensor" and not (e["confidence"] or 1) < 0.5}
-    assert abs(events["b"]["start_s"] - 3000) <= 4 * DT and abs(events["b"]["size"] - 6.0) < 0.6
+    document = require_described(shown.out)
+    assert document["health"] is None and document["state"] == "sensor" and document["detector"] == "the monitor"
+    events = {e["hypothesis"]: e for e in document["events"] if e["kind"] == "sensor" and not (e["confidence"] or 1) < 0.5}
+    assert abs(events["b"]["start"] - 3000) <= 4 * DT and abs(events["b"]["size"] - 6.0) < 0.6
     assert events["d"]["fault"] == "freeze" and events["d"]["open"]
     assert "rows in alarm without a fault" in shown.err
     files = {"monitor.txt", "report.html", "events.csv", "reconstructed.csv", "scores.csv", "diagnosis.svg", "diagnosis.png"}
@@ -66,8 +69,7 @@ def test_a_log_is_diagnosed_and_what_was_learnt_is_kept(
     assert "Judged by healthy logs, without a model" in page and "model not tested" not in page
     assert main(command) == 2 and "already used" in capsys.readouterr().err
     assert main(["monitor", "--monitor", kept, "--data", data, "--out", str(tmp_path / "again"), "--json"]) == 0
-    again = json.loads(capsys.readouterr().out)
-    assert again == json.loads(shown.out)
+    assert json.loads(capsys.readouterr().out) == document
 
 
 @pytest.mark.parametrize(

@@ -153,7 +153,7 @@ def test_watch_and_diagnose_take_a_kept_monitor(
     names, decisions = monitor.plant.sensor_names, monitor.diagnose(LOGS["faults"]).decisions
     assert isolated == [[names[i] for i in np.flatnonzero(row)] for row in decisions.isolated]
     assert main(["diagnose", "--monitor", kept, "--data", str(data), "--out", str(tmp_path / "out"), "--json"]) == 0
-    events = {(e["kind"], e["hypothesis"]) for e in json.loads(capsys.readouterr().out)}
+    events = {(e["kind"], e["hypothesis"]) for e in json.loads(capsys.readouterr().out)["events"]}
     assert {("sensor", "s2"), ("sensor", "s0"), ("outside", "still")} <= events
 
 
@@ -168,7 +168,7 @@ def test_a_log_without_a_column_is_refused_or_its_sensor_is_missing(
     diagnose = ["diagnose", "--monitor", kept, "--data", str(data), "--out", str(tmp_path / "out"), "--json"]
     assert main(diagnose) == 2 and "no column for the sensors 's1'" in capsys.readouterr().err
     assert main([*diagnose, "--absent-sensors"]) == 0
-    assert [e["hypothesis"] for e in json.loads(capsys.readouterr().out) if e["fault"] == "dropout"] == ["s1"]
+    assert [e["hypothesis"] for e in json.loads(capsys.readouterr().out)["events"] if e["fault"] == "dropout"] == ["s1"]
     for options, code in (([], 2), (["--absent-sensors"], 0)):
         monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO(data.read_bytes())))
         assert main(["watch", "--monitor", kept, *options]) == code

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ import pytest
 from toy_plants import Array, tanks
 
 from fusion_sfdia.core.detector import MissingPackageError
+from fusion_sfdia.core.log import as_log
 from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.logs.findings import LoadedLog
 from fusion_sfdia.logs.log_map import Column, LogMap
@@ -209,6 +212,22 @@ def test_a_frame_a_parquet_file_and_csv_are_one(tmp_path: Path) -> None:
     for log in logs:
         for mine, expected in zip(log, (T, Y, U[:, None]), strict=True):
             np.testing.assert_array_equal(mine, expected)
+
+
+def test_frames_of_arrow_and_polars_are_those_of_pandas() -> None:
+    pandas, arrow = pytest.importorskip("pandas"), pytest.importorskip("pyarrow")
+    frame = pandas.DataFrame(rows(), columns=TITLES)
+    frame.iloc[3, 1] = np.nan
+    others = [arrow.Table.from_pandas(frame)]
+    with suppress(ModuleNotFoundError):
+        others.append(import_module("polars").DataFrame({title: frame[title].to_numpy() for title in TITLES}))
+    expected = load_log(frame, PLANT)
+    for other in others:
+        for mine, theirs in zip(load_log(other, PLANT).log, expected.log, strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+        assert as_log(PLANT, other).y.tolist()[4:] == expected.log.y.tolist()[4:]
+    turned = arrow.table({s.name: Y[:, i] for i, s in reversed([*enumerate(PLANT.sensors)])})
+    np.testing.assert_array_equal(as_log(PLANT, T, turned, U[:, None]).y, Y)  # by name
 
 
 def test_parquet_that_is_none_and_without_its_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

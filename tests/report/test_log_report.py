@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import html
 import re
-import sys
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
@@ -27,7 +26,7 @@ from fusion_sfdia.logs.csv_log import read_log
 from fusion_sfdia.named import diagnose
 from fusion_sfdia.report.log_figures import MOST_POINTS, broken, thinned, time_axis
 from fusion_sfdia.report.log_page import About, write_page
-from fusion_sfdia.report.log_report import FILES, as_text, draw, progress, write_diagnosis
+from fusion_sfdia.report.log_report import FILES, as_text, draw, write_diagnosis
 from fusion_sfdia.report.log_units import LogUnits
 
 NEVER = 10**6
@@ -95,6 +94,11 @@ def test_people_see_the_tags_and_units_of_their_log_and_tables_those_of_the_plan
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert f"{told}." in page and "0.4319 m3/h" in page and "0.00012" not in page
     assert "sensor,q12,105.0,200.0,0.000119" in (tmp_path / "events.csv").read_text(encoding="utf-8")
+    header, row = (tmp_path / "reconstructed.csv").read_text(encoding="utf-8").splitlines()[:2]
+    flags = "LI1.PV flag,l2 flag,FI12.PV flag,q2 flag,replaced"
+    assert header == f"time [s],LI1.PV [mm],l2 [m],FI12.PV [m3/h],q2 [m3/s],inflow [m3/s],{flags}"
+    assert float(row.split(",")[1]) == pytest.approx(1000 * BOTH.decisions.reconstruction[0, 0], rel=1e-15)
+    assert (tmp_path / "scores.csv").read_text(encoding="utf-8").startswith("time_s,time,LI1.PV score,l2 score,FI12.PV score,")
 
 
 def test_a_size_is_a_difference_without_the_offset_of_its_unit() -> None:
@@ -200,6 +204,8 @@ def test_the_report_states_health_events_and_gaps(tmp_path: Path) -> None:
         rows = list(csv.DictReader(file))
     assert [k for k, row in enumerate(rows) if "l1" in row["replaced"].split(";")] == [5]
     assert [k for k, row in enumerate(rows) if "q12" in row["replaced"].split(";")] == list(range(20, 37))
+    assert rows[0]["wall clock"] == "2026-03-01 23:58:05+01:00"
+    assert [row["l1 flag"] for row in rows[3:7]] == ["1", "1", "9", "1"] and {row["q12 flag"] for row in rows[20:]} == {"4"}
     again = read_log(tmp_path / "reconstructed.csv", PLANT, other_columns=True)
     np.testing.assert_array_equal(again.y, wall.decisions.reconstruction)
 
@@ -222,12 +228,6 @@ def test_a_long_line_is_drawn_with_its_extremes() -> None:
     kept = thinned(values)
     assert kept.size <= MOST_POINTS + 2 and {0, 17, 31_234, 49_999} <= set(kept.tolist())
     assert thinned(values[:100]).tolist() == list(range(100))
-
-
-def test_progress_is_shown_on_a_terminal_alone(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    assert list(progress(range(3))) == [0, 1, 2] and capsys.readouterr().err == ""
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    assert list(progress(range(3))) == [0, 1, 2] and "diagnosing" in capsys.readouterr().err
 
 
 def test_no_line_is_drawn_over_a_gap() -> None:

@@ -257,6 +257,8 @@ def test_bad_input_is_named_before_anything_is_timed(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="seconds is nan; expected a positive time"):
         best_times({}, float("nan"))
     (tmp_path / "metrics.csv").write_text("mine")
-    with pytest.raises(ValueError, match=r"already used; name another folder with --out, or write into it with --force"):
+    with pytest.raises(
+        ValueError, match=r"already used: .*name another folder with --out, or replace what is there with --force"
+    ):
         bench.run(["model"], tmp_path, SHORT)
     assert (tmp_path / "metrics.csv").read_text() == "mine"
