@@ -61,8 +61,8 @@ class Diagnosis:
     come first, then what it cannot tell apart, then the sensors. clock: wall-clock times of the log. gaps: stretches without
     a row that the model was stepped through, or after which it started anew. health: whether the model fits; after: the
     residuals behind that and behind kinds and sizes, both None where an own Diagnosis does not state them. limit: that fewer
-    than half of the sensors can be isolated at once, and why; "" elsewhere. of_log: what is regular in the readings of some
-    sensors and looks like a fault, in words.
+    than half of the sensors can be isolated at once, and why; "" elsewhere. of_log: what was found in the log
+    that looks like a fault and is none, in words. suspects: sensors that were not judged, since their unit looks wrong.
     """
 
     events: tuple[Event, ...]
@@ -75,6 +75,7 @@ class Diagnosis:
     after: Residuals | None = None
     limit: str = ""
     of_log: tuple[str, ...] = ()
+    suspects: tuple[str, ...] = ()
 
     @property
     def state(self) -> Verdict:
@@ -110,6 +111,8 @@ class Diagnosis:
             return Conclusion(Verdict.UNDECIDED, NO_THRESHOLDS)
         if 2 * np.sum(np.any(d.absurd_input, axis=-1) if np.ndim(d.absurd_input) else d.absurd_input) > t.size:
             return Conclusion(Verdict.OUTSIDE, "an input is beyond the limits of its signal in most samples")
+        if self.suspects:
+            return Conclusion(Verdict.UNDECIDED, f"the unit of {', '.join(self.suspects)} looks wrong")
         return Conclusion(Verdict.HEALTHY)
 
     @property
@@ -120,6 +123,8 @@ class Diagnosis:
         found, concluded = verdict(self.events, self.t), self._conclusion
         if found == NO_FAULT and concluded.verdict is not Verdict.HEALTHY:
             return concluded.text
+        if self.suspects:
+            found += f"; not judged: {', '.join(self.suspects)}, whose unit looks wrong"
         if concluded.verdict is Verdict.BLIND:
             return f"{concluded.text}; {found}"
         if np.any(lost := self.decisions.diverged):
@@ -260,7 +265,7 @@ def concluded(
     del look, track, out  # of a long log as much memory as its readings, twice
     events = explained(detector, t, y, decisions, events_of(detector, t, decisions, gap), after, frozen)
     events = tuple(e for e in events if e.kind != "sensor" or e.hypothesis not in unread)
-    _warn(detector, log, decisions, gaps, clock)
+    _warn(detector, log, decisions, gaps, clock, unread)
     health = health._replace(remarks=against_the_model(events, decisions, t, clock))
     tested: tuple[ProcessHypothesis, ...] = getattr(detector, "process_hypotheses", ())
     return Diagnosis(events, decisions, t, tested, clock, gaps, health, after, _limit(detector))
@@ -336,7 +341,9 @@ def against_the_model(events: Sequence[Event], decisions: Decision, t: Array, cl
     return tuple(found)
 
 
-def _warn(detector: Detector, log: Log, decisions: Decision, gaps: Sequence[Gap], clock: Clock) -> None:
+def _warn(
+    detector: Detector, log: Log, decisions: Decision, gaps: Sequence[Gap], clock: Clock, unread: Collection[str]
+) -> None:
     """Warn of what the events do not show."""
     (t, y, u), remarks = log, []
 
@@ -350,7 +357,7 @@ def _warn(detector: Detector, log: Log, decisions: Decision, gaps: Sequence[Gap]
                 "starts anew from the initial state; check that times are in seconds"
             )
     silent = [s.name for s, none in zip(detector.plant.sensors, np.all(np.isnan(y), axis=0), strict=True) if none]
-    if silent:
+    if silent and not {*silent} <= {*unread}:
         some = ", ".join(silent[:8]) + (f" and {len(silent) - 8} more" if len(silent) > 8 else "")
         whole = ": the diagnosis is only the model's prediction" if len(silent) == y.shape[1] else ""
         remarks.append(f"no readings of {some}{whole}; fill their columns to have them tested")
@@ -384,4 +391,4 @@ def _warn(detector: Detector, log: Log, decisions: Decision, gaps: Sequence[Gap]
         if np.any(flags):
             remarks.append(f"the estimate {what} in {np.sum(flags)} of {t.size} samples, first at {first(flags)}; {cure}")
     for remark in remarks:
-        warnings.warn(remark, DiagnosisWarning, stacklevel=5)  # the caller of diagnose
+        warnings.warn(remark, DiagnosisWarning, stacklevel=6)  # the caller of diagnose

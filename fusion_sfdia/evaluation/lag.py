@@ -47,7 +47,7 @@ def explained_by_lag(detector: Detector, log: Log, found: Diagnosis, again: Call
     """The diagnosis of a log of one run, or, where late sensors explain most of its isolations, that of the log with their
     readings moved to when they were true, which states so. again: diagnoses a log.
     """
-    stated, texts = found.of_log, list[str]()
+    stated, suspects, texts = found.of_log, found.suspects, list[str]()
     while found.events and (late := latest(detector, log, found)) is not None and len(texts) < MOST:
         i, rows = late
         near = range(max(rows - 1, 1), rows + 2)  # the prediction may be off itself, by a row
@@ -63,7 +63,7 @@ def explained_by_lag(detector: Detector, log: Log, found: Diagnosis, again: Call
             f"{detector.plant.sensor_names[i]} is late by {rows} row{'s' * (rows != 1)} ({step:.6g} s): its readings are taken "
             "as that much earlier; correct their times, or add the delay to the model"
         )
-        log, found = moved, replace(result, of_log=(*stated, *texts))
+        log, found = moved, replace(result, of_log=(*stated, *texts), suspects=suspects)
     return found
 
 
