@@ -55,7 +55,8 @@ def prepared(detector: Detector, loaded: LoadedLog, build: Callable[[Plant], Det
     ValueError for a log of other sensors or inputs than the plant has.
     """
     plant = detector.plant
-    check_reading(plant, *(np.zeros(values.shape[1:]) for values in loaded.log[1:]), ())  # the number of sensors and inputs
+    y, u = (np.zeros(values.shape[1:]) for values in loaded.log[1:])
+    check_reading(plant, y, u, ())  # their numbers of sensors and inputs
     loaded = checked(plant, loaded)
     regular = regularities(plant, loaded.log)
     return Prepared(
