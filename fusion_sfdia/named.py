@@ -9,6 +9,7 @@ from typing import Any
 
 from fusion_sfdia import registry
 from fusion_sfdia.builders import healthy_data
+from fusion_sfdia.core.batch_detector import BatchDetector
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.log import as_log, one_run
 from fusion_sfdia.core.plant import Plant
@@ -82,8 +83,7 @@ def fit(name: str, plant: Plant | str, healthy: Any = None, false_alarm: float =
     plant, named = registry.plant(plant), registry.find_detector(name)
     if named.learns:
         return named.build(plant, healthy=healthy, false_alarm=false_alarm)
-    detector: Any = registry.detector(named, plant)
-    if not hasattr(detector, "fit_thresholds"):
+    detector = registry.detector(named, plant)
+    if not isinstance(detector, BatchDetector):
         raise ValueError(f"detector {named.name} has no fit_thresholds and does not learn; build it and set its thresholds")
-    fitted: Detector = detector.fit_thresholds(healthy_data(plant, false_alarm) if healthy is None else healthy, false_alarm)
-    return fitted
+    return detector.fit_thresholds(healthy_data(plant, false_alarm) if healthy is None else healthy, false_alarm)

@@ -26,7 +26,6 @@ from fusion_sfdia.core.gaps import Gap, Track, bridged
 from fusion_sfdia.core.log import Log, one_run
 from fusion_sfdia.core.model_errors import RAISED, failed
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.redundancy import redundancy
 from fusion_sfdia.core.verdicts import ALL_FAR, NO_THRESHOLDS, TOO_MANY, Conclusion, Verdict, far_off, judged, undecidable
 from fusion_sfdia.evaluation.absent import beyond_resolution, repeats
 from fusion_sfdia.evaluation.events import (
@@ -267,14 +266,12 @@ def concluded(
     events = tuple(e for e in events if e.kind != "sensor" or e.hypothesis not in unread)
     _warn(detector, log, decisions, gaps, clock, unread)
     health = health._replace(remarks=against_the_model(events, decisions, t, clock))
-    tested: tuple[ProcessHypothesis, ...] = getattr(detector, "process_hypotheses", ())
-    return Diagnosis(events, decisions, t, tested, clock, gaps, health, after, _limit(detector))
+    return Diagnosis(events, decisions, t, detector.process_hypotheses, clock, gaps, health, after, _limit(detector))
 
 
 def model_of(detector: Detector) -> Plant:
     """The plant whose state the filter of a detector estimates; its plant, where it has no filter."""
-    model = getattr(detector, "model", None)  # of principal components it is no plant
-    return model if isinstance(model, Plant) else detector.plant
+    return detector.filter_model or detector.plant
 
 
 def present(y: Array, decisions: Decision) -> Array:
@@ -284,15 +281,8 @@ def present(y: Array, decisions: Decision) -> Array:
 
 def _limit(detector: Detector) -> str:
     """In words how many sensors can be isolated at once, where that is less than half of them; else ""."""
-    most, count = getattr(detector, "most_faults", np.inf), len(detector.plant.sensors)
-    return f"at most {most} of {count} sensors can be isolated at once: {_why(detector)}" if most < count // 2 else ""
-
-
-def _why(detector: Detector) -> str:
-    """What sets the number of sensors that can be isolated at once."""
-    if not hasattr(detector, "max_faults"):
-        return f"the method of {type(detector).__name__} names no more"
-    return redundancy(detector.plant).reason if detector.max_faults is None else "as max_faults states"
+    most, count = detector.most_faults, len(detector.plant.sensors)
+    return f"at most {most} of {count} sensors can be isolated at once: {detector.why_no_more()}" if most < count // 2 else ""
 
 
 def decided(
@@ -304,16 +294,7 @@ def decided(
     `core.detector.of_run`.
     """
     batch = track.y.shape[1:-1]
-    if hasattr(detector, "steps") and not batch:
-        starts = np.flatnonzero(np.isfinite(track.begins))
-        try:
-            runs = [
-                detector.steps(detector.init(batch, float(track.begins[a])), track.t[a:b], track.y[a:b], track.u[a:b])[1]
-                for a, b in zip(starts, [*starts[1:], track.t.size], strict=True)
-            ]
-        except RAISED as error:
-            raise failed(detector.plant, "in this log", error) from error
-        whole = runs[0] if len(runs) == 1 else joined(runs)
+    if not batch and (whole := _at_once(detector, track)) is not None:
         return whole if track.own.all() else chosen(whole, track.own)
     state, blocks, found = None, [], []
     for s in each(range(track.t.size)):
@@ -329,6 +310,20 @@ def decided(
             blocks.append(stack(found))
             found = []
     return joined(blocks)
+
+
+def _at_once(detector: Detector, track: Track) -> Decision | None:
+    """The Decisions at all samples of a track of one run, None where the detector has to be stepped."""
+    starts, runs = np.flatnonzero(np.isfinite(track.begins)), []
+    for a, b in zip(starts, [*starts[1:], track.t.size], strict=True):
+        try:
+            found = detector.steps(detector.init((), float(track.begins[a])), track.t[a:b], track.y[a:b], track.u[a:b])
+        except RAISED as error:
+            raise failed(detector.plant, "in this log", error) from error
+        if found is None:
+            return None
+        runs.append(found[1])
+    return runs[0] if len(runs) == 1 else joined(runs)
 
 
 def against_the_model(events: Sequence[Event], decisions: Decision, t: Array, clock: Clock) -> tuple[str, ...]:
@@ -378,11 +373,11 @@ def _warn(
                 f"{signals[i].unit} at {first(absurd[:, i])}; {fate}: leave such cells empty, or check units"
             )
     if np.any(decisions.capped):
-        most, of = getattr(detector, "most_faults", "too many"), len(detector.plant.sensors)
+        most, of = detector.most_faults, len(detector.plant.sensors)
         remarks.append(
             f"more sensors would be isolated in {np.sum(decisions.capped)} of {t.size} samples, first at "
             f"{first(decisions.capped)}, but {most} of {of} are excluded already, all that the detector "
-            f"allows ({_why(detector)}): check the model, or pass max_faults"
+            f"allows ({detector.why_no_more()}): check the model, or pass max_faults"
         )
     for flags, what, cure in (
         (decisions.guarded, "left the limits of the model and was moved back", "check units, inputs and parameters"),

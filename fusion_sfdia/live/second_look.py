@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import Decision, Detector, stack
 from fusion_sfdia.core.log import Log
-from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.absent import DUE, REPEATED, beyond_resolution, repeats
-from fusion_sfdia.evaluation.diagnose import Diagnosis, against_the_model
+from fusion_sfdia.evaluation.diagnose import Diagnosis, against_the_model, model_of
 from fusion_sfdia.evaluation.events import Event, events_of, spans
 from fusion_sfdia.evaluation.hindsight import LEAD, looked
 from fusion_sfdia.evaluation.hindsight_steps import Hindsight, begun
@@ -128,8 +127,7 @@ class SecondLook:
         out = seen.out | seen.decision.isolated[:n]
         for later in islice(self.ahead, LEAD):
             out = out | later.decision.isolated[:n]
-        model = getattr(self.detector, "model", None)  # of principal components it is no plant
-        model = model if isinstance(model, Plant) else self.detector.plant
+        model = model_of(self.detector)
         if np.isfinite(seen.begins):
             self.core, self.before = begun(model), seen.begins
         found: Hindsight | None = None

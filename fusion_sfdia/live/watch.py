@@ -241,7 +241,7 @@ class Watch:
         if failure:
             self.concluded = Conclusion(Verdict.BLIND, failure)
         elif decision.diverged or not read or np.isfinite(row.y).any():  # else all are repeats, and the verdict stands
-            self.concluded = conclusion_of(decision, row.y, getattr(self.detector, "process_hypotheses", ()))
+            self.concluded = conclusion_of(decision, row.y, self.detector.process_hypotheses)
         changes += self.findings.sight(row.t, self.concluded, at_once=bool(decision.diverged))
         self.lost, self.failing, self.t = bool(decision.diverged), failing, row.t
         self.state = None if self.lost else state
