@@ -36,6 +36,7 @@ from fusion_sfdia.checks.require import (
     scaled,
 )
 from fusion_sfdia.core.arguments import shown
+from fusion_sfdia.core.batch_detector import BatchDetector
 from fusion_sfdia.core.detector import Decision, Detector, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.state import State, leaves, mapped, names
@@ -231,11 +232,12 @@ def a_pickled_detector_continues_with_the_same_bits(detector: Detector, healthy:
 
 
 def a_sensor_is_used_again_on_request(detector: Detector, healthy: Healthy) -> None:
-    """A detector with `readmit` goes on from the state that it gives, once or twice for the same sensor, without a change of
-    the state given; it refuses an unknown sensor.
+    """A BatchDetector goes on from the state that `readmit` gives, once or twice for the same sensor, without a change of the
+    state given; it refuses an unknown sensor.
     """
-    if (readmit := getattr(detector, "readmit", None)) is None:
+    if not isinstance(detector, BatchDetector):
         return
+    readmit = detector.readmit
     t, y, u = healthy(14, 2)
     y, name = y.copy(), detector.plant.sensor_names[-1]
     y[6:10, :, -1] += 30 * detector.plant.sensor_sigma[-1]
