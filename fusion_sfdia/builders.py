@@ -208,10 +208,3 @@ def one_class(plant: Plant, healthy: Any = None, false_alarm: float = FALSE_ALAR
     from fusion_sfdia.data_driven.one_class import OneClass
 
     return OneClass.fit(plant, settled_readings(plant, false_alarm) if healthy is None else healthy, false_alarm)
-
-
-def watching(detector: Detector) -> Detector:
-    """Return the detector without accommodation, so that a threshold may be swept over its residuals after the run."""
-    settings: Any = detector
-    changed: Detector = replace(settings, accommodate=False) if hasattr(detector, "accommodate") else detector
-    return changed

@@ -3,35 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from fusion_sfdia import registry
 from fusion_sfdia.builders import healthy_data
+from fusion_sfdia.core.batch_detector import BatchDetector
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.log import as_log, is_frame, one_run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.detectors import FALSE_ALARM
-from fusion_sfdia.evaluation.diagnose import SECONDS, Diagnosis, diagnose_run
-from fusion_sfdia.evaluation.lag import explained_by_lag
-from fusion_sfdia.logs.check import without_suspects
+from fusion_sfdia.evaluation.diagnose import SECONDS, Diagnosis
+from fusion_sfdia.evaluation.loaded_log import prepared
 from fusion_sfdia.logs.findings import LoadedLog
+from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.logs.reading import load_log
-from fusion_sfdia.logs.regularity import regularities
 
 
 def diagnose(
-    detector: Detector | str | Callable[[Plant], Detector], *data: Any, plant: Plant | str | None = None, gap: int = 3
+    detector: Detector | str | Callable[[Plant], Detector],
+    *data: Any,
+    plant: Plant | str | None = None,
+    gap: int = 3,
+    log_map: LogMap | str | Path | None = None,
 ) -> Diagnosis:
     """Run a detector over recorded readings and collect what it isolates into events, see `diagnose_run`.
 
     detector: an object; or a registered name, a class or a function that builds one, which needs its plant, an object or a
-    name. data: what `load_log` or `check_log` read, a Log, a Recording of one run, a pandas frame, or t (K,), y (K, N), u (K,
-    m), see `as_log`. Time stamps give events their wall-clock times; sensors whose unit `check_log` suspects, and readings that
-    only repeat the one before, are taken as missing; sensors that are coarse or cyclic, which the plant does not state, have
-    more noise, or a period (`Diagnosis.of_log` states what was found). ValueError where names are unknown, the first argument
-    is no detector or the data do not fit; DiagnosisWarning for limits of the diagnosis that the events do not show.
+    name. data: a file or a pandas frame, which `load_log` reads with log_map; what `load_log` or `check_log` read; a Log, a
+    Recording of one run, or t (K,), y (K, N), u (K, m), see `as_log`. The same log has the same Diagnosis in each of these
+    forms, and on the command line. Time stamps give events their wall-clock times; sensors whose unit `check_log` suspects,
+    and readings that only repeat the one before, are taken as missing; sensors that are coarse or cyclic, which the plant does
+    not state, have more noise, or a period (`Diagnosis.of_log` states what was found, `Diagnosis.suspects` the former).
+    ValueError where names are unknown, the first argument is no detector or the data do not fit; DiagnosisWarning for limits
+    of the diagnosis that the events do not show.
     """
     if isinstance(detector, str | type | registry.NamedDetector) or not isinstance(detector, Detector):
         if not isinstance(detector, str | registry.NamedDetector) and not callable(detector):
@@ -51,16 +57,13 @@ def diagnose(
         )
     else:
         build = None
-    loaded = data[0] if len(data) == 1 else None
-    if is_frame(loaded):
-        loaded = load_log(loaded, detector.plant)
-    given = loaded if isinstance(loaded, LoadedLog) else LoadedLog(one_run(as_log(detector.plant, *data)), SECONDS, ())
-    regular = regularities(detector.plant, given.log)
-    log = without_suspects(detector.plant, given).log
-    of_log = tuple(f.text for f in regular.findings(detector.plant))
-    adapted = regular.detector(detector, build)
-    again = partial(diagnose_run, adapted, gap=gap, clock=given.clock)
-    return explained_by_lag(adapted, log, replace(again(log), of_log=of_log), again)
+    one = data[0] if len(data) == 1 else None
+    if isinstance(one, str | Path) or is_frame(one):
+        one = load_log(one, detector.plant, log_map)
+    elif log_map is not None:
+        raise ValueError("log_map states how a file or a frame is written; expected one of them, or no log_map")
+    loaded = one if isinstance(one, LoadedLog) else LoadedLog(one_run(as_log(detector.plant, *data)), SECONDS, ())
+    return prepared(detector, loaded, build).diagnose(gap=gap)
 
 
 def fit(name: str, plant: Plant | str, healthy: Any = None, false_alarm: float = FALSE_ALARM, **unknown: Any) -> Detector:
@@ -79,8 +82,7 @@ def fit(name: str, plant: Plant | str, healthy: Any = None, false_alarm: float =
     plant, named = registry.plant(plant), registry.find_detector(name)
     if named.learns:
         return named.build(plant, healthy=healthy, false_alarm=false_alarm)
-    detector: Any = registry.detector(named, plant)
-    if not hasattr(detector, "fit_thresholds"):
+    detector = registry.detector(named, plant)
+    if not isinstance(detector, BatchDetector):
         raise ValueError(f"detector {named.name} has no fit_thresholds and does not learn; build it and set its thresholds")
-    fitted: Detector = detector.fit_thresholds(healthy_data(plant, false_alarm) if healthy is None else healthy, false_alarm)
-    return fitted
+    return detector.fit_thresholds(healthy_data(plant, false_alarm) if healthy is None else healthy, false_alarm)

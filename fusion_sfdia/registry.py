@@ -259,7 +259,8 @@ def detector(what: str | Callable[[Plant], Detector] | NamedDetector, of: Plant)
     built = entry.build(of)
     if not isinstance(built, Detector):
         raise ValueError(
-            f"detector {entry.name}: built {type(built).__name__}; expected a Detector, with plant, hypotheses, init and step"
+            f"detector {entry.name}: built {type(built).__name__}; expected a Detector, with plant, hypotheses, init and step; "
+            "derive it from BatchDetector, or from fusion_sfdia.core.detector.Claims, which has the rest"
         )
     return built
 

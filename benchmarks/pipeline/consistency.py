@@ -12,7 +12,7 @@ from matplotlib.figure import Figure as Drawing
 from fusion_sfdia import registry
 from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, row
 from fusion_sfdia.benchmarks.pipeline.support.trials import OURS, PAPER, SETTLE, SINGLE, Results, common, tasks
-from fusion_sfdia.builders import PAPER_FILTERS, watching
+from fusion_sfdia.builders import PAPER_FILTERS
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, rate_over_runs
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.evaluation.trials import decide, faulted
@@ -47,7 +47,7 @@ def consistency_work(task: Task) -> Arrays:
             plant, PAPER_FILTERS[task["detector"].removeprefix("fusing-")], thresholds=never, feedback=task["feedback"]
         )
     )
-    detector = watching(detector)
+    detector = detector.watching()
     data = faulted(detector.plant, task["steps"], task["seeds"], None, None, process_noise=True)
     decision = decide(detector, data, covariance=True, seed=task["seeds"][0])
     assert data.recording.x is not None and decision.covariance is not None

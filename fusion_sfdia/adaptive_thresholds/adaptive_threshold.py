@@ -39,7 +39,7 @@ from fusion_sfdia.adaptive_thresholds.diagnosis_sets import DiagnosisLogic, modu
 from fusion_sfdia.adaptive_thresholds.monitored_plant import envelope_ends, modules_of, require_one_bounded_sensor_each
 from fusion_sfdia.adaptive_thresholds.monitoring import Settings, decide, monitor, quantities_of
 from fusion_sfdia.core.arguments import shown
-from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep, without_false_alarms
 from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.equation import COMPLEX_STEP, plain
 from fusion_sfdia.core.modules import Modules, ObserverBound
@@ -103,6 +103,13 @@ class AdaptiveThreshold(BatchDetector):
                 raise ValueError(f"{what} has {', '.join(unknown)}; expected some of {', '.join(known)}")
         if isinstance(self.envelope, Mapping) and (unknown := [v for v in self.envelope if v not in modules.equations]):
             raise ValueError(f"envelope has {', '.join(unknown)}; expected some of {', '.join(modules.equations)}")
+
+    @property
+    def claimed_rate(self) -> float:
+        """0 at a steady load with thresholds that bounded noise cannot cross: without published bounds and margins."""
+        if self.fitted_rate is not None or self.observer_bounds or self.margins:
+            return super().claimed_rate
+        return without_false_alarms(self.plant)
 
     @property
     def _modules(self) -> Modules:

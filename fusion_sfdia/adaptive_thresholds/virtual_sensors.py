@@ -36,7 +36,7 @@ from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshol
 from fusion_sfdia.adaptive_thresholds.algebraic_bounds import enclosure
 from fusion_sfdia.adaptive_thresholds.fault_memory import FaultMemory
 from fusion_sfdia.adaptive_thresholds.monitoring import Settings, box, quantities_of
-from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep, without_false_alarms
 from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.modules import Modules
 from fusion_sfdia.core.state import State
@@ -92,6 +92,11 @@ class VirtualSensors(BatchDetector):
             raise ValueError(f"learning_rates has {', '.join(unknown)}; the states are {', '.join(modules.states)}")
         if wrong := [f"{v}={g}" for v, g in self.learning_rates.items() if not (np.isfinite(g) and g > 0)]:
             raise ValueError(f"learning rates {', '.join(wrong)}; expected positive numbers in 1/s")
+
+    @property
+    def claimed_rate(self) -> float:
+        """0 with thresholds that bounded noise cannot cross."""
+        return without_false_alarms(self.plant) if self.fitted_rate is None else super().claimed_rate
 
     def fault_interval(self, state: State) -> Interval:
         """Return the intervals (*batch, N) of the sensors' constant offsets in sensor units, after the step that returned

@@ -7,7 +7,7 @@ def test_my_detector() -> None:
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -36,7 +36,9 @@ from fusion_sfdia.checks.require import (
     scaled,
 )
 from fusion_sfdia.core.arguments import shown
+from fusion_sfdia.core.batch_detector import BatchDetector
 from fusion_sfdia.core.detector import Decision, Detector, run
+from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.state import State, leaves, mapped, names
 from fusion_sfdia.core.storage import load_state, save_state
 
@@ -65,7 +67,7 @@ def shapes_and_types(detector: Detector, healthy: Healthy) -> None:
     n, count = len(plant.states), len(plant.sensors)
     require(hypotheses[:count] == plant.sensor_names, "its hypotheses begin with the plant's sensors", hypotheses)
     require(len(set(hypotheses)) == len(hypotheses), "its hypotheses differ", hypotheses)
-    more = len(getattr(detector, "process_hypotheses", ()))
+    more = len(detector.process_hypotheses)
     shapes = {
         **dict.fromkeys(OF_PROCESS, (more,)), "suspect": (len(hypotheses) + more,), "probability": (len(hypotheses) + more,),
         "estimate": (n,), "residual": (count,), "threshold": (count,), "isolated": (len(hypotheses),),
@@ -106,6 +108,27 @@ def _require_state(detector: Detector, batch: tuple[int, ...], state: Any) -> No
             f"{one.shape} of a single run",
             a.shape,
         )
+
+
+def claims_are_of_their_kind(detector: Detector, healthy: Healthy) -> None:
+    """What it states of itself, see `Claims`: rates, how many sensors it isolates at once and why no more, a run at once."""
+    count = len(detector.plant.sensors)
+    require(detector.most_faults >= 1, "most_faults is at least one sensor", detector.most_faults)
+    require(isinstance(detector.why_no_more(), str), "why_no_more says so in words", detector.why_no_more())
+    require(
+        detector.filter_model is None or isinstance(detector.filter_model, Plant), "filter_model is a Plant or None", "else"
+    )
+    for name, rate in (("false_alarm", detector.false_alarm), ("fitted_rate", detector.fitted_rate)):
+        require(rate is None or 0 < rate < 1, f"{name} is a rate per step, or None", rate)
+    rate = detector.claimed_rate
+    require(np.isnan(rate) or 0 <= rate < 1, "claimed_rate is a rate per step, NaN where nothing is claimed", rate)
+    quiet = detector.watching()
+    require(isinstance(quiet, Detector) and quiet.plant is detector.plant, "watching gives a detector of the plant", quiet)
+    t, y, u = healthy(10, 1)
+    _, stepped = run(detector, detector.init(), t, y[:, 0], u[:, 0])
+    require(np.all(np.sum(stepped.isolated[:, :count], axis=-1) <= detector.most_faults), "most_faults holds", stepped.isolated)
+    if (at_once := detector.steps(detector.init(), t, y[:, 0], u[:, 0])) is not None:
+        require_same(replace(at_once[1], covariance=None), replace(stepped, covariance=None), "steps, a run at once")
 
 
 def the_same_seed_gives_the_same_bits(detector: Detector, healthy: Healthy) -> None:
@@ -209,11 +232,12 @@ def a_pickled_detector_continues_with_the_same_bits(detector: Detector, healthy:
 
 
 def a_sensor_is_used_again_on_request(detector: Detector, healthy: Healthy) -> None:
-    """A detector with `readmit` goes on from the state that it gives, once or twice for the same sensor, without a change of
-    the state given; it refuses an unknown sensor.
+    """A BatchDetector goes on from the state that `readmit` gives, once or twice for the same sensor, without a change of the
+    state given; it refuses an unknown sensor.
     """
-    if (readmit := getattr(detector, "readmit", None)) is None:
+    if not isinstance(detector, BatchDetector):
         return
+    readmit = detector.readmit
     t, y, u = healthy(14, 2)
     y, name = y.copy(), detector.plant.sensor_names[-1]
     y[6:10, :, -1] += 30 * detector.plant.sensor_sigma[-1]
@@ -230,6 +254,7 @@ def a_sensor_is_used_again_on_request(detector: Detector, healthy: Healthy) -> N
 
 DETECTOR_CHECKS: tuple[Callable[[Detector, Healthy], None], ...] = (
     shapes_and_types,
+    claims_are_of_their_kind,
     process_verdicts_have_numbers,
     the_same_seed_gives_the_same_bits,
     a_single_run_is_a_batch_of_one,

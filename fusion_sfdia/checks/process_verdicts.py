@@ -16,7 +16,7 @@ def process_verdicts_have_numbers(detector: Detector, healthy: Healthy) -> None:
     """Of a detector with process_hypotheses: they are named apart from each other and from what it isolates; an accepted one
     has a size and a standard deviation unless its kind has none, another none; probabilities of exclusive hypotheses.
     """
-    tested = getattr(detector, "process_hypotheses", ())
+    tested = detector.process_hypotheses
     names_of_all = [*detector.hypotheses, *(h.name for h in tested)]
     require(len(set(names_of_all)) == len(names_of_all), "names of all hypotheses differ", names_of_all)
     for h in tested:

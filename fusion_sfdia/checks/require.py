@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -64,7 +64,8 @@ def require_same_end(one: Detector, a: State, two: Detector, b: State, data: tup
 
 def scaled(detector: Any, scale: float) -> Detector:
     """A detector with a threshold_scale; AssertionError where it has no such setting."""
-    require(hasattr(detector, "threshold_scale"), "a setting threshold_scale (1.0), which multiplies all thresholds", "none")
+    settings = [f.name for f in fields(detector)] if is_dataclass(detector) else []
+    require("threshold_scale" in settings, "a setting threshold_scale (1.0), which multiplies all thresholds", settings)
     found: Detector = replace(detector, threshold_scale=scale * (detector.threshold_scale or 1.0))
     return found
 

@@ -189,6 +189,7 @@ def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap) -> Non
             saved.watch.refused(f"line {number}: {error}; it is not taken")
             continue
         if row is not None:
+            watch.unread.update(rows.absent)
             saved.take(*row)
     saved.rest()
     rows.end()

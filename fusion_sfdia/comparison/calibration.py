@@ -29,12 +29,6 @@ Array = NDArray[Any]
 RESAMPLES = 200  # of runs: a standard error within 5 %
 CALIBRATION_SEEDS = 910_000  # the first: apart from those of any run and from those that detectors are fitted on
 CACHE = 64e6  # bytes of states beyond which a step of all runs at once takes longer than of parts of them
-CLAIMS = {  # alarms a step over all sensors, of those that have no setting false_alarm
-    # what they are fitted to
-    **dict.fromkeys(("fusing-ekf", "fusing-ukf", "fusing-enkf", "structural-residuals"), 1e-3),
-    **dict.fromkeys(("limits", "limits-ewma", "pca", "dynamic-pca", "one-class"), 1e-3),
-    **dict.fromkeys(("adaptive-threshold", "virtual-sensors"), 0.0),  # guaranteed for bounded noise
-}
 
 
 class Calibrated(NamedTuple):
@@ -69,7 +63,7 @@ def calibrated(
         raise NotApplicableError(
             f"its score on healthy readings is {scale:g} at most: no threshold brings it to a rate of false alarms"
         )
-    return Calibrated(detector, scale, standard_ends(scores, scale, false_alarm), scores, claim(by.name, detector))
+    return Calibrated(detector, scale, standard_ends(scores, scale, false_alarm), scores, float(detector.claimed_rate))
 
 
 def scores_of(detector: Detector, recording: Recording) -> Array:
@@ -87,20 +81,6 @@ def standard_ends(scores: Array, scale: float, false_alarm: float) -> tuple[floa
     drawn = [order_statistic(scores[:, rng.integers(runs, size=runs)].ravel(), false_alarm) for _ in range(RESAMPLES)]
     factor = float(np.exp(np.std(np.log(np.maximum(drawn, scale / 100)))))
     return scale / factor, scale * factor
-
-
-def claim(name: str, detector: Any) -> float:
-    """Alarms a step over all sensors that a detector claims at most, NaN where it claims nothing below 1."""
-    if (fitted := getattr(detector, "fitted_rate", None)) is not None:
-        return float(fitted)
-    if (rate := getattr(detector, "false_alarm", None)) is not None:
-        return float(rate)
-    if (alpha := getattr(detector, "alpha", None)) is not None:  # Chebyshev's inequality for each sensor
-        bound = float(np.sum(np.broadcast_to(np.asarray(alpha, float), len(detector.plant.sensors)) ** -2.0))
-        return bound if bound < 1 else np.nan
-    found = CLAIMS.get(name, np.nan)
-    stated = all(np.isfinite(s.noise_bound) for s in detector.plant.sensors)
-    return found if found > 0 or stated else np.nan  # from bounds that are taken from standard deviations nothing follows
 
 
 def deployed(calibration: Calibrated, scale: float | None = None) -> Any:

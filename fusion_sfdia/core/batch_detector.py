@@ -16,7 +16,7 @@ import numpy as np
 
 from fusion_sfdia.core.arguments import Array, batch_shape, floats, number, probability, shown, whole
 from fusion_sfdia.core.border import InputLimits
-from fusion_sfdia.core.detector import Decision, check_reading
+from fusion_sfdia.core.detector import Claims, Decision, check_reading
 from fusion_sfdia.core.health import keep_broken_out, of_runs, without_broken, without_readings
 from fusion_sfdia.core.log import Log, as_log
 from fusion_sfdia.core.order_statistics import order_statistic
@@ -38,8 +38,13 @@ class TimeStep(NamedTuple):
     k: int
 
 
+def without_false_alarms(plant: Plant) -> float:
+    """The rate of false alarms of thresholds that bounded noise cannot cross: 0, NaN where a sensor states no bound."""
+    return 0.0 if all(np.isfinite(s.noise_bound) for s in plant.sensors) else np.nan
+
+
 @dataclass(frozen=True)
-class BatchDetector(ABC):
+class BatchDetector(Claims, ABC):
     """A detector whose state is a `State`: a subclass defines its memory, how it starts, and how it judges readings.
 
     The memory is a NamedTuple of arrays with the batch as leading axes, or of such tuples, see `core.state`.

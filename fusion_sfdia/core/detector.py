@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,9 +116,60 @@ class Decision:
         return np.asarray((self.score > 1) | self.isolated.any(axis=-1))
 
 
+class Claims(Protocol):
+    """What a detector states of itself beside its decisions. Each has a default, which a class inherits from this one.
+
+    process_hypotheses: what of the process it tests, too. filter_model: the plant whose state its filter estimates, None for
+    its own plant. most_faults: how many sensors it isolates at once at most; `why_no_more` says in words what sets that.
+    threshold_scale: factor on all thresholds. false_alarm: the rate of alarms per step over all sensors for which its
+    thresholds are designed, fitted_rate that for which they were fitted to healthy readings, None where there is none.
+    claimed_rate: alarms per step over all sensors without a fault that it claims at most, NaN where it claims nothing.
+    steps: as `step` for each of t (K,), y (K, N), u (K, m) of one run, with the same bits, where there is a faster way; else
+    None. watching: itself without accommodation, where it has any, so that readings are not replaced.
+    """
+
+    @property
+    def process_hypotheses(self) -> tuple[ProcessHypothesis, ...]:
+        return ()
+
+    @property
+    def filter_model(self) -> Plant | None:
+        return None
+
+    @property
+    def most_faults(self) -> float:
+        return np.inf
+
+    def why_no_more(self) -> str:
+        return f"the method of {type(self).__name__} names no more"
+
+    @property
+    def threshold_scale(self) -> float:
+        return 1.0
+
+    @property
+    def false_alarm(self) -> float | None:
+        return None
+
+    @property
+    def fitted_rate(self) -> float | None:
+        return None
+
+    @property
+    def claimed_rate(self) -> float:
+        stated = self.false_alarm if self.fitted_rate is None else self.fitted_rate
+        return np.nan if stated is None else float(stated)
+
+    def steps(self, state: State, t: Array, y: Array, u: Array) -> tuple[State, Decision] | None:
+        return None
+
+    def watching(self) -> Self:
+        return self
+
+
 @runtime_checkable
-class Detector(Protocol):
-    """A diagnosis method bound to a plant.
+class Detector(Claims, Protocol):
+    """A diagnosis method bound to a plant; a class of one inherits from `BatchDetector`, or from `Claims`.
 
     hypotheses: what can be isolated, the plant's sensors first.
     init(batch, t, seed): the `State` at time t (s) of a batch of that shape; seed fixes all randomness of the method.

@@ -85,7 +85,7 @@ class EwmaLimits(BatchDetector):
         worst = np.max(np.nan_to_num(averages[1::2] / unit, nan=-1.0), axis=-1)
         factor = upper_limit(worst[worst >= 0], false_alarm / 3)
         average = np.where(still, max(factor, 1.0), factor) * unit
-        return cls(plant, fixed.centre, fixed.level, fixed.change, average, weight, **settings)
+        return cls(plant, fixed.centre, fixed.level, fixed.change, average, weight, fitted_rate=false_alarm, **settings)
 
     def with_sensors_of(self, plant: Plant) -> Self:
         """The detector itself: what it learnt from healthy readings stays; NotApplicableError for cyclic ones."""

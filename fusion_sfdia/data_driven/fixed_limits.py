@@ -85,7 +85,7 @@ class FixedLimits(BatchDetector):
         )
         factor = upper_limit(worst[worst >= 0], false_alarm)
         factors = np.where(still, max(factor, 1.0), factor)
-        return cls(plant, centre, factors * unit[0], factors * unit[1], **settings)
+        return cls(plant, centre, factors * unit[0], factors * unit[1], fitted_rate=false_alarm, **settings)
 
     def with_sensors_of(self, plant: Plant) -> Self:
         """The detector itself: what it learnt from healthy readings stays; NotApplicableError for cyclic ones."""

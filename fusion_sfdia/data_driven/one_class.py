@@ -70,7 +70,8 @@ class OneClass(ReconstructionDetector):
         w = model.reconstruct(train).x @ whitening(model)
         machine = OneClassSVM(gamma=1 / w.shape[1], nu=probability("outliers", outliers), tol=1e-6).fit(w)
         unlimited = cls(plant, model, w[machine.support_], machine.dual_coef_[0], np.inf, **settings)
-        return replace(unlimited, limit=upper_limit(unlimited.statistic(model.reconstruct(judge).x), false_alarm))
+        limit = upper_limit(unlimited.statistic(model.reconstruct(judge).x), false_alarm)
+        return replace(unlimited, limit=limit, fitted_rate=false_alarm)
 
     @cached_property
     def _whitening(self) -> Array:

@@ -70,6 +70,7 @@ class PrincipalComponents(ReconstructionDetector):
             limit_t2=upper_limit(t2, share) if moves else np.inf,
             limit_spe=upper_limit(spe, share),
             limit_contribution=upper_limit(contribution, share),
+            fitted_rate=false_alarm,
         )
 
     def statistics(self, found: Reconstruction) -> tuple[Array, Array, Array]:

@@ -13,6 +13,7 @@ from fusion_sfdia.core.arguments import shown, whole
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision, require_no_cycles
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.redundancy import why_no_more
 from fusion_sfdia.data_driven.component_model import ComponentModel, Reconstruction
 from fusion_sfdia.data_driven.healthy_limits import without_model
 
@@ -52,6 +53,9 @@ class ReconstructionDetector(BatchDetector):
     @abstractmethod
     def excess(self, found: Reconstruction) -> Array:
         """The root of the statistic over its limit (B,), without threshold_scale."""
+
+    def why_no_more(self) -> str:
+        return why_no_more(self.plant, self.max_faults)
 
     @property
     def most_faults(self) -> int:

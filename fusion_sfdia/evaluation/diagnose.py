@@ -27,7 +27,6 @@ from fusion_sfdia.core.html import as_html
 from fusion_sfdia.core.log import Log, one_run
 from fusion_sfdia.core.model_errors import RAISED, failed
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.redundancy import redundancy
 from fusion_sfdia.core.verdicts import ALL_FAR, NO_THRESHOLDS, TOO_MANY, Conclusion, Verdict, far_off, judged, undecidable
 from fusion_sfdia.evaluation.absent import beyond_resolution, repeats
 from fusion_sfdia.evaluation.events import (
@@ -62,8 +61,8 @@ class Diagnosis:
     come first, then what it cannot tell apart, then the sensors. clock: wall-clock times of the log. gaps: stretches without
     a row that the model was stepped through, or after which it started anew. health: whether the model fits; after: the
     residuals behind that and behind kinds and sizes, both None where a Diagnosis was built without them. limit: that fewer
-    than half of the sensors can be isolated at once, and why; "" elsewhere. of_log: what is regular in the readings of some
-    sensors and looks like a fault, in words.
+    than half of the sensors can be isolated at once, and why; "" elsewhere. of_log: what was found in the log
+    that looks like a fault and is none, in words. suspects: sensors that were not judged, since their unit looks wrong.
     """
 
     events: tuple[Event, ...]
@@ -76,6 +75,7 @@ class Diagnosis:
     after: Residuals | None = None
     limit: str = ""
     of_log: tuple[str, ...] = ()
+    suspects: tuple[str, ...] = ()
 
     @property
     def state(self) -> Verdict:
@@ -111,6 +111,8 @@ class Diagnosis:
             return Conclusion(Verdict.UNDECIDED, NO_THRESHOLDS)
         if 2 * np.sum(np.any(d.absurd_input, axis=-1) if np.ndim(d.absurd_input) else d.absurd_input) > t.size:
             return Conclusion(Verdict.OUTSIDE, "an input is beyond the limits of its signal in most samples")
+        if self.suspects:
+            return Conclusion(Verdict.UNDECIDED, f"the unit of {', '.join(self.suspects)} looks wrong")
         return Conclusion(Verdict.HEALTHY)
 
     @property
@@ -121,6 +123,8 @@ class Diagnosis:
         found, concluded = verdict(self.events, self.t), self._conclusion
         if found == NO_FAULT and concluded.verdict is not Verdict.HEALTHY:
             return concluded.text
+        if self.suspects:
+            found += f"; not judged: {', '.join(self.suspects)}, whose unit looks wrong"
         if concluded.verdict is Verdict.BLIND:
             return f"{concluded.text}; {found}"
         if np.any(lost := self.decisions.diverged):
@@ -274,16 +278,14 @@ def concluded(
     del look, track, out  # of a long log as much memory as its readings, twice
     events = explained(detector, t, y, decisions, events_of(detector, t, decisions, gap), after, frozen)
     events = tuple(e for e in events if e.kind != "sensor" or e.hypothesis not in unread)
-    _warn(detector, log, decisions, gaps, clock)
+    _warn(detector, log, decisions, gaps, clock, unread)
     health = health._replace(remarks=against_the_model(events, decisions, t, clock))
-    tested: tuple[ProcessHypothesis, ...] = getattr(detector, "process_hypotheses", ())
-    return Diagnosis(events, decisions, t, tested, clock, gaps, health, after, _limit(detector))
+    return Diagnosis(events, decisions, t, detector.process_hypotheses, clock, gaps, health, after, _limit(detector))
 
 
 def model_of(detector: Detector) -> Plant:
     """The plant whose state the filter of a detector estimates; its plant, where it has no filter."""
-    model = getattr(detector, "model", None)  # of principal components it is no plant
-    return model if isinstance(model, Plant) else detector.plant
+    return detector.filter_model or detector.plant
 
 
 def present(y: Array, decisions: Decision) -> Array:
@@ -293,15 +295,8 @@ def present(y: Array, decisions: Decision) -> Array:
 
 def _limit(detector: Detector) -> str:
     """In words how many sensors can be isolated at once, where that is less than half of them; else ""."""
-    most, count = getattr(detector, "most_faults", np.inf), len(detector.plant.sensors)
-    return f"at most {most} of {count} sensors can be isolated at once: {_why(detector)}" if most < count // 2 else ""
-
-
-def _why(detector: Detector) -> str:
-    """What sets the number of sensors that can be isolated at once."""
-    if not hasattr(detector, "max_faults"):
-        return f"the method of {type(detector).__name__} names no more"
-    return redundancy(detector.plant).reason if detector.max_faults is None else "as max_faults states"
+    most, count = detector.most_faults, len(detector.plant.sensors)
+    return f"at most {most} of {count} sensors can be isolated at once: {detector.why_no_more()}" if most < count // 2 else ""
 
 
 def decided(
@@ -313,16 +308,7 @@ def decided(
     `core.detector.of_run`.
     """
     batch = track.y.shape[1:-1]
-    if hasattr(detector, "steps") and not batch:
-        starts = np.flatnonzero(np.isfinite(track.begins))
-        try:
-            runs = [
-                detector.steps(detector.init(batch, float(track.begins[a])), track.t[a:b], track.y[a:b], track.u[a:b])[1]
-                for a, b in zip(starts, [*starts[1:], track.t.size], strict=True)
-            ]
-        except RAISED as error:
-            raise failed(detector.plant, "in this log", error) from error
-        whole = runs[0] if len(runs) == 1 else joined(runs)
+    if not batch and (whole := _at_once(detector, track)) is not None:
         return whole if track.own.all() else chosen(whole, track.own)
     state, blocks, found = None, [], []
     for s in each(range(track.t.size)):
@@ -340,6 +326,20 @@ def decided(
     return joined(blocks)
 
 
+def _at_once(detector: Detector, track: Track) -> Decision | None:
+    """The Decisions at all samples of a track of one run, None where the detector has to be stepped."""
+    starts, runs = np.flatnonzero(np.isfinite(track.begins)), []
+    for a, b in zip(starts, [*starts[1:], track.t.size], strict=True):
+        try:
+            found = detector.steps(detector.init((), float(track.begins[a])), track.t[a:b], track.y[a:b], track.u[a:b])
+        except RAISED as error:
+            raise failed(detector.plant, "in this log", error) from error
+        if found is None:
+            return None
+        runs.append(found[1])
+    return runs[0] if len(runs) == 1 else joined(runs)
+
+
 def against_the_model(events: Sequence[Event], decisions: Decision, t: Array, clock: Clock) -> tuple[str, ...]:
     """What else than innovations speaks against the model."""
     found = [e.difference for e in events if isinstance(e, ProcessEvent) and e.open]
@@ -350,7 +350,9 @@ def against_the_model(events: Sequence[Event], decisions: Decision, t: Array, cl
     return tuple(found)
 
 
-def _warn(detector: Detector, log: Log, decisions: Decision, gaps: Sequence[Gap], clock: Clock) -> None:
+def _warn(
+    detector: Detector, log: Log, decisions: Decision, gaps: Sequence[Gap], clock: Clock, unread: Collection[str]
+) -> None:
     """Warn of what the events do not show."""
     (t, y, u), remarks = log, []
 
@@ -364,7 +366,7 @@ def _warn(detector: Detector, log: Log, decisions: Decision, gaps: Sequence[Gap]
                 "starts anew from the initial state; check that times are in seconds"
             )
     silent = [s.name for s, none in zip(detector.plant.sensors, np.all(np.isnan(y), axis=0), strict=True) if none]
-    if silent:
+    if silent and not {*silent} <= {*unread}:
         some = ", ".join(silent[:8]) + (f" and {len(silent) - 8} more" if len(silent) > 8 else "")
         whole = ": the diagnosis is only the model's prediction" if len(silent) == y.shape[1] else ""
         remarks.append(f"no readings of {some}{whole}; fill their columns to have them tested")
@@ -385,11 +387,11 @@ def _warn(detector: Detector, log: Log, decisions: Decision, gaps: Sequence[Gap]
                 f"{signals[i].unit} at {first(absurd[:, i])}; {fate}: leave such cells empty, or check units"
             )
     if np.any(decisions.capped):
-        most, of = getattr(detector, "most_faults", "too many"), len(detector.plant.sensors)
+        most, of = detector.most_faults, len(detector.plant.sensors)
         remarks.append(
             f"more sensors would be isolated in {np.sum(decisions.capped)} of {t.size} samples, first at "
             f"{first(decisions.capped)}, but {most} of {of} are excluded already, all that the detector "
-            f"allows ({_why(detector)}): check the model, or pass max_faults"
+            f"allows ({detector.why_no_more()}): check the model, or pass max_faults"
         )
     for flags, what, cure in (
         (decisions.guarded, "left the limits of the model and was moved back", "check units, inputs and parameters"),
@@ -398,4 +400,4 @@ def _warn(detector: Detector, log: Log, decisions: Decision, gaps: Sequence[Gap]
         if np.any(flags):
             remarks.append(f"the estimate {what} in {np.sum(flags)} of {t.size} samples, first at {first(flags)}; {cure}")
     for remark in remarks:
-        warnings.warn(remark, DiagnosisWarning, stacklevel=5)  # the caller of diagnose
+        warnings.warn(remark, DiagnosisWarning, stacklevel=6)  # the caller of diagnose

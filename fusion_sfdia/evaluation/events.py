@@ -169,7 +169,7 @@ def events_of(detector: Detector, t: Array, decisions: Decision, gap: int) -> tu
         for a, b in spans(decisions.isolated[:, i], gap):
             found.append(kind(name, *_when(t, a, b), median(decisions.fault_size[a : b + 1, i]), unit, b == len(t) - 1))
     found.sort(key=lambda e: (e.start, e.hypothesis))
-    tested: tuple[ProcessHypothesis, ...] = getattr(detector, "process_hypotheses", ())
+    tested = detector.process_hypotheses
     names = (*detector.hypotheses, *(h.name for h in tested))
     return (*_process(tested, t, decisions, gap), *_undecided(names, t, decisions, gap), *found)
 

@@ -42,12 +42,17 @@ class Lag(NamedTuple):
     sensor: int
     rows: int
 
+    def told(self, plant: Plant, log: Log) -> str:
+        """In words: "level_1 is late by 4 rows (240 s)"."""
+        rows, step = self.rows, self.rows * float(np.median(np.diff(log.t)))
+        return f"{plant.sensor_names[self.sensor]} is late by {rows} row{'s' * (rows != 1)} ({step:.6g} s)"
+
 
 def explained_by_lag(detector: Detector, log: Log, found: Diagnosis, again: Callable[[Log], Diagnosis]) -> Diagnosis:
     """The diagnosis of a log of one run, or, where late sensors explain most of its isolations, that of the log with their
     readings moved to when they were true, which states so. again: diagnoses a log.
     """
-    stated, texts = found.of_log, list[str]()
+    stated, suspects, texts = found.of_log, found.suspects, list[str]()
     while found.events and (late := latest(detector, log, found)) is not None and len(texts) < MOST:
         i, rows = late
         near = range(max(rows - 1, 1), rows + 2)  # the prediction may be off itself, by a row
@@ -58,12 +63,11 @@ def explained_by_lag(detector: Detector, log: Log, found: Diagnosis, again: Call
         rows, moved, result = min(results, key=lambda r: (_flagged(r[2]), _residual(r[2], i)))
         if _flagged(result) >= _flagged(found):
             break
-        step = rows * float(np.median(np.diff(log.t)))
         texts.append(
-            f"{detector.plant.sensor_names[i]} is late by {rows} row{'s' * (rows != 1)} ({step:.6g} s): its readings are taken "
-            "as that much earlier; correct their times, or add the delay to the model"
+            f"{Lag(i, rows).told(detector.plant, log)}: its readings are taken as that much earlier; correct their times, or "
+            "add the delay to the model"
         )
-        log, found = moved, replace(result, of_log=(*stated, *texts))
+        log, found = moved, replace(result, of_log=(*stated, *texts), suspects=suspects)
     return found
 
 

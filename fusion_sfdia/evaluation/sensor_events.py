@@ -27,14 +27,13 @@ STILL = 0.4  # share of equal successive readings of a healthy sensor above whic
 
 def false_alarm_of(detector: Detector) -> float:
     """The rate of false alarms that a detector states, else 1e-3."""
-    rate = getattr(detector, "false_alarm", 1e-3)
-    return float(rate) if isinstance(rate, int | float) and 0 < rate < 1 else 1e-3
+    rate = detector.false_alarm
+    return float(rate) if rate is not None and 0 < rate < 1 else 1e-3
 
 
 def alarm_rate_of(detector: Detector) -> float:
     """The rate of false alarms at which a detector acts: that for which its thresholds were fitted, else what it states."""
-    fitted = getattr(detector, "fitted_rate", None)
-    return false_alarm_of(detector) if fitted is None else float(fitted)
+    return false_alarm_of(detector) if detector.fitted_rate is None else float(detector.fitted_rate)
 
 
 def explained(
@@ -176,14 +175,14 @@ def rivals_at(detector: Detector, decisions: Decision, i: int, k: int) -> tuple[
     of the sensors, T = (score q)^2 with q the normal quantile of the detector's rate of false alarms, shared by the sensors:
     twice the logarithm of a likelihood ratio, so that the probability is exp(T_i / 2) / sum_j exp(T_j / 2).
     """
-    tested = getattr(detector, "process_hypotheses", ())
+    tested = detector.process_hypotheses
     names = (*detector.hypotheses, *(h.name for h in tested))
     count = len(detector.plant.sensors)
     together = decisions.isolated[k]
     if decisions.probability is not None:
         probability = np.where(np.isfinite(decisions.probability[k]), decisions.probability[k], 0.0)
     else:
-        q = ndtri(false_alarm_of(detector) / count / 2) * getattr(detector, "threshold_scale", 1.0)
+        q = ndtri(false_alarm_of(detector) / count / 2) * detector.threshold_scale
         score = chosen(decisions, k).scores
         score = np.where(np.isfinite(score), score, 0.0)
         others = ~together[:count]

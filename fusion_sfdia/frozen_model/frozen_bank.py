@@ -141,6 +141,10 @@ class FrozenBank(BatchDetector):
         """The unknowns of the plant, and that no single cause explains the readings."""
         return (*unknowns(self.plant), NO_SINGLE_CAUSE, OUTSIDE)
 
+    @property
+    def filter_model(self) -> Plant:
+        return self.model
+
     @cached_property
     def model(self) -> Plant:
         """The plant as it was commissioned: at its values, with what its equations miss added to the readings."""

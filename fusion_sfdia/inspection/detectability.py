@@ -93,7 +93,7 @@ def _one(plant: Plant, name: Any, each: list[tuple[int, str, float]], runs: int,
     _, decisions = run(detector, detector.init((len(each) * runs,)), *data)
     process = decisions.process
     named = decisions.isolated if process is None else np.concatenate([decisions.isolated, process], axis=-1)
-    names = [*detector.hypotheses, *(h.name for h in getattr(detector, "process_hypotheses", ()))]
+    names = [*detector.hypotheses, *(h.name for h in detector.process_hypotheses)]
     named = named.reshape(len(named), len(each), runs, -1)
     trials = tuple(_judged(plant, one, named[:, c], names) for c, one in enumerate(each))
     kept = [
@@ -102,7 +102,8 @@ def _one(plant: Plant, name: Any, each: list[tuple[int, str, float]], runs: int,
         if size == 10 and kind == "bias" and named[-1, c, :, i].all()
     ]
     healthy = float(np.mean(np.any(named[BEFORE // 4 : BEFORE], axis=-1)))
-    return Tried(shown, trials, healthy, tuple(kept), most_faults=getattr(detector, "most_faults", 0))
+    most = int(detector.most_faults) if np.isfinite(detector.most_faults) else 0
+    return Tried(shown, trials, healthy, tuple(kept), most_faults=most)
 
 
 def _judged(plant: Plant, one: tuple[int, str, float], named: Array, names: list[str]) -> Trial:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.exclusion import Exclusion, exclude, readmit, restored
 from fusion_sfdia.core.health import broken
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.redundancy import most_faults, redundancy, require_max_faults
+from fusion_sfdia.core.redundancy import most_faults, redundancy, require_max_faults, why_no_more
 from fusion_sfdia.filters.estimators import Estimator, Prior, require_consistent, step_stream
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.filters.sparse import variances
@@ -74,10 +75,22 @@ class ExcludingBank(BatchDetector):
         probability("false_alarm", self.false_alarm)
         require_max_faults(self.plant, self.max_faults)
 
+    def watching(self) -> Self:
+        settings: Any = self  # a dataclass in each bank
+        quiet: Self = replace(settings, accommodate=False)
+        return quiet
+
+    def why_no_more(self) -> str:
+        return why_no_more(self.plant, self.max_faults)
+
     @cached_property
     def most_faults(self) -> int:
         """How many sensors may be excluded at once."""
         return self.max_faults or most_faults(self.plant)
+
+    @property
+    def filter_model(self) -> Plant:
+        return self.model
 
     @property
     def model(self) -> Plant:

@@ -36,6 +36,7 @@ from fusion_sfdia.core.detector import Decision, NotApplicableError, run
 from fusion_sfdia.core.health import broken
 from fusion_sfdia.core.order_statistics import order_statistic
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.redundancy import why_no_more
 from fusion_sfdia.core.state import State, mapped
 from fusion_sfdia.filters.estimators import (
     Core,
@@ -200,7 +201,13 @@ class FusingBank(BatchDetector):
         for members in groups.values():
             largest = np.nanmax(np.where(np.isfinite(residual[:, members]), residual[:, members], -np.inf), axis=1)
             thresholds[members] = order_statistic(largest, share)
-        return replace(self, thresholds=tuple(thresholds.tolist()), threshold_scale=1.0, settle=settle)
+        return replace(self, thresholds=tuple(thresholds.tolist()), threshold_scale=1.0, settle=settle, fitted_rate=false_alarm)
+
+    def watching(self) -> Self:
+        return replace(self, accommodate=False)
+
+    def why_no_more(self) -> str:
+        return why_no_more(self.plant, self.max_faults)
 
     @property
     def most_faults(self) -> int:

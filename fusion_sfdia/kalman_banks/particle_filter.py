@@ -13,9 +13,9 @@ is then 2.4 times that of a Kalman filter, and 3.5 times its own standard deviat
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from fusion_sfdia.core.arguments import probability, whole
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.health import broken
-from fusion_sfdia.core.redundancy import most_faults, require_max_faults
+from fusion_sfdia.core.redundancy import most_faults, require_max_faults, why_no_more
 from fusion_sfdia.filters import particle
 from fusion_sfdia.filters.estimators import require_none_considered, step_stream
 from fusion_sfdia.filters.gaussian import add, whiten
@@ -100,6 +100,12 @@ class ParticleFilter(BatchDetector):
     @property
     def _alpha(self) -> float:
         return float(-ndtri(self.false_alarm / len(self.plant.sensors) / 2)) * self.threshold_scale
+
+    def watching(self) -> Self:
+        return replace(self, accommodate=False)
+
+    def why_no_more(self) -> str:
+        return why_no_more(self.plant, self.max_faults)
 
     @cached_property
     def most_faults(self) -> int:

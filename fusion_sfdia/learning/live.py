@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.detector import Decision, ProcessHypothesis, chosen
+from fusion_sfdia.core.detector import Claims, Decision, ProcessHypothesis, chosen
 from fusion_sfdia.core.gaps import LONG
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.state import State, mapped
@@ -67,7 +67,7 @@ class Grid(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class LiveMonitor:
+class LiveMonitor(Claims):
     """A monitor as a detector: one row after another, with the verdicts of `Monitor.diagnose` on the rows so far.
 
     Readings and inputs are NaN where missing. Rows go to the nearest step of the grid that begins with the first row, several

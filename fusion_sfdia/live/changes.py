@@ -121,7 +121,7 @@ class Changes:
         """The event of `events_of` on what is kept of the i-th event."""
         _, start, last, _ = self.standing[i]
         times, decisions = zip(*((t, d) for t, d in self.recent if start <= t <= last), strict=True)
-        sensors, tested = len(self.detector.hypotheses), getattr(self.detector, "process_hypotheses", ())
+        sensors, tested = len(self.detector.hypotheses), self.detector.process_hypotheses
         kinds = ("sensor", "other") if i < sensors else ("process", "outside") if i < sensors + len(tested) else ("undecided",)
         names = [*self.detector.hypotheses, *(h.name for h in tested)]
         found = events_of(self.detector, np.array(times), stack(list(decisions)), KEPT + 1)
@@ -188,7 +188,7 @@ def _saved(saved: SavedArrays, detector: Detector, name: str, count: int) -> Arr
     """A field of the last `count` Decisions; ValueError where it does not fit the detector."""
     kind, axis = OF_DECISION[name]
     plant, hypotheses = detector.plant, len(detector.hypotheses)
-    tested = len(getattr(detector, "process_hypotheses", ()))
+    tested = len(detector.process_hypotheses)
     sizes = {
         "N": len(plant.sensors),
         "H": hypotheses,

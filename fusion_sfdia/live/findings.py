@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -25,10 +25,12 @@ Array = NDArray[Any]
 class Findings:
     """The first look, `Changes`, and where kinds are named the second, `SecondLook`, with ids in common."""
 
-    def __init__(self, detector: Detector, gap: int, kinds: bool, refused: Callable[[str], None]) -> None:
+    def __init__(
+        self, detector: Detector, gap: int, kinds: bool, refused: Callable[[str], None], unread: Collection[str] = ()
+    ) -> None:
         self.detector, self.refused = detector, refused
         self.changes = Changes(detector, gap)
-        self.look = SecondLook(detector, gap) if kinds else None
+        self.look = SecondLook(detector, gap, unread, refused) if kinds else None
 
     def after(self, seen: Seen, decision: Decision, clock: Clock) -> list[Change]:
         """What a row changes. seen: the row with its inputs; readings that the detector calls absurd are removed from it."""
@@ -97,5 +99,5 @@ class Findings:
         saved.end()
         if self.look is not None and look.arrays:
             decisions = [decision for _, decision in self.changes.recent]
-            self.look = restored_look(self.detector, self.changes.gap, look, decisions)
+            self.look = restored_look(self.look, look, decisions)
             look.end()

@@ -66,7 +66,7 @@ def verdict_text(detector: Detector, sample: Sample) -> str:
         return "none isolated"
     if concluded.verdict is Verdict.BLIND:
         return f"{concluded.text}; isolated before: {isolated}" if isolated else concluded.text
-    tested = () if d.process is None else zip(getattr(detector, "process_hypotheses", ()), d.process, strict=True)
+    tested = () if d.process is None else zip(detector.process_hypotheses, d.process, strict=True)
     process = ", ".join(h.name for h, i in tested if i)
     parts = [f"process or model: {process}" if process else "", concluded.text if concluded.reason else "", isolated]
     return "; ".join(part for part in parts if part)

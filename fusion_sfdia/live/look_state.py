@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,10 @@ Array = NDArray[Any]
 def look_arrays(look: SecondLook) -> dict[str, Array]:
     """What `restored_look` takes up again, but for the decisions, as arrays."""
     rows = [*look.window, *look.ahead]
-    found = {"read": look.read, "numbers": np.array([look.before, look.count, look.due, look.pause, len(look.window)])}
+    found = {
+        "said": np.array(sorted(look.said), str),
+        "numbers": np.array([look.before, look.count, look.due, look.pause, len(look.window)]),
+    }
     found |= {"verdict": np.array(look.verdict)}
     if look.core is not None:
         found |= {"x": look.core.x, "P": look.core.P}
@@ -42,8 +46,11 @@ def look_arrays(look: SecondLook) -> dict[str, Array]:
     return found
 
 
-def restored_look(detector: Detector, gap: int, saved: SavedArrays, decisions: Sequence[Decision]) -> SecondLook:
-    """The same of which `look_arrays` are; decisions: of the last samples. ValueError for arrays that it did not give."""
+def restored_look(fresh: SecondLook, saved: SavedArrays, decisions: Sequence[Decision]) -> SecondLook:
+    """The same of which `look_arrays` are, with what of it is not saved; decisions: of the last samples. ValueError for arrays
+    that it did not give.
+    """
+    detector = fresh.detector
     n, m = len(detector.plant.sensors), len(detector.plant.inputs)
     numbers = saved.take("numbers", "f", 5)
     before = float(numbers[0])
@@ -52,9 +59,8 @@ def restored_look(detector: Detector, gap: int, saved: SavedArrays, decisions: S
     if "x" in saved.arrays:
         x = saved.take("x", "f", None)
         core = GaussianState(x, saved.take("P", "f", x.size, x.size))
-    read = saved.take("read", "b", n if count else None)
-    found = SecondLook(detector, gap, core, before, read=read, count=count, due=due, pause=pause)
-    found.verdict = str(saved.take("verdict", "U"))
+    said, verdict = set(saved.take("said", "U", None).tolist()), str(saved.take("verdict", "U"))
+    found = replace(fresh.anew(), core=core, before=before, count=count, due=due, pause=pause, said=said, verdict=verdict)
     times = saved.take("t", "f", None) if "t" in saved.arrays else np.empty(0)
     rows = times.size
     if not size <= rows <= min(len(decisions), size + LEAD) or size > WINDOW:

@@ -83,6 +83,7 @@ class Bridge:
         self.saved, self.url, self.topics, self.now = saved, url, topics, now
         self.sources = sources = topics.sources
         plant = saved.watch.detector.plant
+        saved.watch.unread.update({*plant.sensor_names} - {*sources})
         self.by_topic: dict[str, list[str]] = {}
         for name, source in sources.items():
             self.by_topic.setdefault(source.topic, []).append(name)

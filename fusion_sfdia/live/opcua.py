@@ -77,6 +77,7 @@ class Bridge:
         self.ua, self.saved, self.url, self.nodes, self.now = asyncua().ua, saved, url, nodes, now
         self.plant: Plant = saved.watch.detector.plant
         self.period, sources = nodes.period or self.plant.dt, nodes.sources
+        saved.watch.unread.update({*self.plant.sensor_names} - {*sources})
         where = {name: f"node {source.node}" for name, source in sources.items()}
         self.values = Values(saved.watch, nodes.stale, nodes.max_lead, nodes.max_lag, delay=self.period, sources=where)
         self.names = self.values.names

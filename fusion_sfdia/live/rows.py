@@ -82,6 +82,7 @@ class TextRows:
         self.plant, self.log_map, self.refused = plant, log_map, refused
         self.allowed = {"absent": absent_sensors, "other": other_columns, "nominal": nominal_inputs}
         self.reader: RowReader | None = None
+        self.absent: tuple[str, ...] = ()  # sensors without a column
         self.lines = 0
         self.header: list[str] | None = None
         self.cells: dict[str, Reader] = {}  # how each column that feeds something is read
@@ -133,7 +134,8 @@ class TextRows:
         with problems.collecting("mask"):
             mask_titles("the first line", titles, sources, self.log_map)  # refuses what is no column
         problems.require_none()
-        wanted = units_of(self.plant)
+        wanted, read = units_of(self.plant), {c.name for c in sources.columns}
+        self.absent = tuple(name for name in self.plant.sensor_names if name not in read)
         self.cells = {c.title: Reader(wanted[c.name], c.conversion, c.numbers, c.scale) for c in sources.columns}
         return RowReader(self.plant, self.log_map, sources)
 

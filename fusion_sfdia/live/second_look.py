@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import Any, NamedTuple
@@ -13,27 +13,30 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import Decision, Detector, stack
-from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.log import Log
 from fusion_sfdia.evaluation.absent import DUE, REPEATED, beyond_resolution, repeats
-from fusion_sfdia.evaluation.diagnose import against_the_model
+from fusion_sfdia.evaluation.diagnose import Diagnosis, against_the_model, model_of
 from fusion_sfdia.evaluation.events import Event, events_of, spans
 from fusion_sfdia.evaluation.hindsight import LEAD, looked
 from fusion_sfdia.evaluation.hindsight_steps import Hindsight, begun
+from fusion_sfdia.evaluation.lag import latest
 from fusion_sfdia.evaluation.model_health import Health, health_of
 from fusion_sfdia.evaluation.sensor_events import TOGETHER, alarm_rate_of, explained
 from fusion_sfdia.filters.estimators import GaussianState
+from fusion_sfdia.logs.regularity import regularities
 
 Array = NDArray[Any]
 
 WINDOW = 585  # samples from which kinds and health are taken
 EACH = 20  # samples from a change to the first look
+UNEXPLAINED = "its events may show that alone; correct its times, or add the delay to the model"
 SETTLED = TOGETHER + 1  # samples after its end, that an event does not change any more
 
 
 class Seen(NamedTuple):
     """A sample: time (s), readings y (N,) and inputs u (m,) without what is absurd, and its Decision. begins: the time at which
     the detector started anew, NaN where it did not. between: times and inputs of the steps before it. out (N,): what is left
-    out as it is frozen. after: what the second look found, None until then.
+    out as it is frozen or repeats the reading before. after: what the second look found, None until then.
     """
 
     t: float
@@ -65,17 +68,22 @@ class SecondLook:
     """A filter LEAD samples behind the detector, without the readings that this has isolated, and WINDOW samples of it.
 
     Kinds are named over these EACH samples after an event opens or closes, and again when that time has doubled, until it is
-    SETTLED; a sensor that is silent or frozen is looked for every EACH samples.
+    SETTLED; a sensor that is silent or frozen is looked for every EACH samples. The window is taken as a log is by `prepared`:
+    what repeats the reading before is missing, equal readings of a coarse sensor are not frozen; late sensors are looked for
+    once in WINDOW samples, and at the end. unread: sensors whose silence is no event. say: is called once with a line for each
+    sensor that is coarse, cyclic or late.
     """
 
     detector: Detector
     gap: int
+    unread: Collection[str] = ()
+    say: Callable[[str], None] = print
     core: GaussianState | None = None
     before: float = np.nan
     ahead: deque[Seen] = field(default_factory=deque)
     window: deque[Seen] = field(default_factory=lambda: deque(maxlen=WINDOW))
     named: list[NamedEvent] = field(default_factory=list)
-    read: Array = field(default_factory=lambda: np.zeros(0, bool))  # sensors that were ever read
+    said: set[str] = field(default_factory=set)  # of which sensors something was said, and what
     count: int = 0
     due: int = 0  # the sample at which kinds are named next, 0: when something happens
     pause: int = EACH
@@ -84,7 +92,6 @@ class SecondLook:
     def take(self, seen: Seen) -> None:
         """A sample, of which all but `out` is known."""
         self.count += 1
-        self.read = np.isfinite(seen.y) | (self.read if self.read.size else False)
         self.ahead.append(seen)
         self._freeze()
         if len(self.ahead) > LEAD:
@@ -120,8 +127,7 @@ class SecondLook:
         out = seen.out | seen.decision.isolated[:n]
         for later in islice(self.ahead, LEAD):
             out = out | later.decision.isolated[:n]
-        model = getattr(self.detector, "model", None)  # of principal components it is no plant
-        model = model if isinstance(model, Plant) else self.detector.plant
+        model = model_of(self.detector)
         if np.isfinite(seen.begins):
             self.core, self.before = begun(model), seen.begins
         found: Hindsight | None = None
@@ -151,7 +157,7 @@ class SecondLook:
         health = ""
         whole = self.count % WINDOW == 0
         if whole or (self.due and self.count >= self.due):
-            events, model = self._explained(clock)
+            events, model = self._explained(clock, whole=whole)
             found = self._news(events, next_id)
             if whole:
                 health = self._health(model)
@@ -172,38 +178,50 @@ class SecondLook:
         )
         while end.ahead:
             end._look()
-        events, model = end._explained(clock)
+        events, model = end._explained(clock, whole=True)
         return end._news(events, next_id), end._health(model)
 
     def anew(self) -> SecondLook:
         """The same after a reset, of which it knows nothing but the sensors and the verdict."""
-        return SecondLook(self.detector, self.gap, read=self.read, verdict=self.verdict)
+        return SecondLook(self.detector, self.gap, self.unread, self.say, said=self.said, verdict=self.verdict)
 
     def _is_silent_or_frozen(self) -> bool:
         last = np.array([s.y for s in islice(reversed(self.window), DUE)])
         if len(last) < DUE:
             return False
-        silent = (np.sum(np.isnan(last), axis=0) >= DUE // 2) & self.read
+        silent = np.sum(np.isnan(last), axis=0) >= DUE // 2
         equal = np.all(last[:REPEATED] == last[0], axis=0)
-        known = {e.hypothesis for e in self.named}
+        known = {e.hypothesis for e in self.named} | {*self.unread}
         sensors = self.detector.plant.sensor_names
         return any(sensors[i] not in known for i in np.flatnonzero(silent | equal))
 
-    def _explained(self, clock: Clock) -> tuple[list[Event], Health]:
-        """The events and the health of the model of `diagnose`, of the window."""
-        rows = list(self.window)
-        t, y = np.array([s.t for s in rows]), np.array([s.y for s in rows])
+    def _explained(self, clock: Clock, *, whole: bool) -> tuple[list[Event], Health]:
+        """The events and the health of the model of `diagnose`, of the window; whole: late sensors are looked for."""
+        rows, plant = list(self.window), self.detector.plant
+        log = Log(*(np.array([s[k] for s in rows]) for k in range(3)))
         decisions = stack([s.decision for s in rows])
         after = Hindsight(*(np.array(v) for v in zip(*(s.after for s in rows if s.after is not None), strict=True)))
-        first = events_of(self.detector, t, decisions, self.gap)
+        regular = regularities(plant, log)
+        log = regular.without_repeats(log)
+        after.error[np.isnan(log.y)] = np.nan
+        first = events_of(self.detector, log.t, decisions, self.gap)
         with np.errstate(invalid="ignore", divide="ignore"):
-            frozen = beyond_resolution(repeats(y), after.error / after.sd, self.detector.plant.sensor_resolution)
-        found = explained(self.detector, t, y, decisions, first, after.residuals, frozen)
-        names = self.detector.plant.sensor_names
-        events = [e for e in found if e.kind != "sensor" or self.read[names.index(e.hypothesis)]]
+            frozen = beyond_resolution(repeats(log.y), after.error / after.sd, regular.of(plant).sensor_resolution)
+        found = explained(self.detector, log.t, log.y, decisions, first, after.residuals, frozen)
+        events = [e for e in found if e.kind != "sensor" or e.hypothesis not in self.unread]
+        for finding in regular.findings(plant):
+            self._say(finding.kind, finding.name, finding.text)
+        if whole and events and not any(about.startswith("late") for about in self.said):
+            if late := latest(self.detector, log, Diagnosis(tuple(events), decisions, log.t, after=after.residuals)):
+                self._say("late", plant.sensor_names[late.sensor], f"{late.told(plant, log)}: {UNEXPLAINED}")
         starts = np.flatnonzero(np.isfinite([s.begins for s in rows]))
-        remarks = against_the_model(events, decisions, t, clock)
-        return events, health_of(self.detector.plant, after, starts, alarm_rate_of(self.detector), remarks)
+        remarks = against_the_model(events, decisions, log.t, clock)
+        return events, health_of(plant, after, starts, alarm_rate_of(self.detector), remarks)
+
+    def _say(self, kind: str, sensor: str, text: str) -> None:
+        if kind != "repeat" and f"{kind} {sensor}" not in self.said:  # repeats are missing already, see `SlowSensors`
+            self.said.add(f"{kind} {sensor}")
+            self.say(text)
 
     def _news(self, events: Sequence[Event], next_id: int) -> list[tuple[int, Event]]:
         """Of the events of sensors those that are not as reported before."""

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import floats, number, whole
+from fusion_sfdia.core.border import possible
 from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import Decision, Detector
 from fusion_sfdia.core.gaps import MOST_BRIDGES, lead_in, longest_step, steps_over
@@ -34,10 +35,11 @@ from fusion_sfdia.live.findings import Findings
 from fusion_sfdia.live.order import InOrder, Row
 from fusion_sfdia.live.second_look import Seen
 from fusion_sfdia.live.slow_sensors import SlowSensors
+from fusion_sfdia.live.tables import require_known
 
 Array = NDArray[Any]
 
-VERSION = 2  # of the file in which a watch is saved
+VERSION = 3  # of the file in which a watch is saved
 ANEW = "name another file, or remove it to begin anew"
 OF_INPUTS = ("u", "given", "known_at")
 
@@ -77,6 +79,12 @@ def _warn(remark: str) -> None:
 class Watch:
     """A detector over rows that arrive one after another, in constant memory; the isolated samples are those of `diagnose`.
 
+    Steps, clocks, gaps, repeats, silent and frozen sensors, kinds and sizes are those of `diagnose`; of the last 585 samples,
+    which are kept. Only a whole log shows what differs: a unit that looks wrong, and the noise or the period of a sensor whose
+    coarse steps or jumps the plant does not state. Of these the former is judged as it is, and the latter are said to
+    `refused`, as is a late sensor, once in 585 samples and by `last`. What is known beforehand counts from the first row:
+    Watch(judged.detector, unread=judged.unread) with judged = `prepared(detector, check_log(...))` of an earlier log.
+
     gap: samples without a verdict after which an event closes. hold: seconds for which an input that is missing, or beyond the
     limits of its signal, keeps its last value. nominal_inputs: whether the plant's usual value is taken instead. at_sample:
     whether the inputs of a row act from then on, as measured ones do, or acted until then, as in a Log. longest_gap: seconds
@@ -84,8 +92,9 @@ class Watch:
     held, so that those that come in another order are put in order; every row is diagnosed that much later. keep_last: whether
     of held rows with one time the last counts, in place of the first. kinds: whether faults are named and the model is tested,
     see `SecondLook`. repeats: whether readings that repeat the one before are judged as they are. unknown_inputs: whether a
-    missing input stays so, for a detector that takes it. refused: called with a line for each row or run of rows that is not
-    taken; by default a WatchWarning.
+    missing input stays so, for a detector that takes it. unread: sensors whose readings are not used and whose silence is no
+    event, since they are absent or in a unit that looks wrong. refused: called with a line for each row or run of rows that is
+    not taken; by default a WatchWarning.
 
     Rows that are not as expected never end a watch:
 
@@ -121,6 +130,7 @@ class Watch:
         kinds: bool = True,
         repeats: bool = False,
         unknown_inputs: bool = False,
+        unread: Iterable[str] = (),
         refused: Callable[[str], None] = _warn,
     ) -> None:
         require_detector(detector)
@@ -133,7 +143,9 @@ class Watch:
                 raise ValueError(f"{what} is {seconds}; expected a finite number of seconds, at least 0")
         if not whole("gap", gap, least=1) < KEPT:
             raise ValueError(f"gap is {gap} samples; expected fewer than the {KEPT} that are kept")
-        self.findings = Findings(detector, int(gap), kinds, refused)
+        self.unread = {*unread}  # a source of rows adds the sensors that it does not have
+        require_known("unread:", self.unread, detector.plant.sensor_names)
+        self.findings = Findings(detector, int(gap), kinds, refused, self.unread)
         self.slow = None if repeats else SlowSensors(detector.plant, refused)
         self.unknown_inputs = unknown_inputs
         self.clock = Clock()
@@ -193,7 +205,7 @@ class Watch:
             self.clock = Clock(start or t)
         elif not np.isfinite(seconds := number("t", t)):
             raise ValueError("its time is not finite")
-        return Row(seconds, np.where(np.isinf(y), np.nan, y), u)
+        return Row(seconds, np.where(np.isinf(y) | np.isin(plant.sensor_names, [*self.unread]), np.nan, y), u)
 
     def _diagnosed(self, row: Row, ahead: float = np.inf) -> tuple[Sample, ...]:
         """Step to a row; ahead: seconds from it to the next one, where that is known."""
@@ -210,6 +222,7 @@ class Watch:
             return ()
         u = self.given if self.at_sample and self.t is not None else given
         read = np.isfinite(row.y).any()
+        came = possible(self.detector.plant, row.y)
         row = row if self.slow is None else row._replace(y=self.slow.take(row.y))
         changes = self.findings.reset(row.t, f"no rows for {pause:g} s", self.clock) if too_long else []
         try:
@@ -221,14 +234,14 @@ class Watch:
         if failing is not None:
             changes += self._failed(row.t, failure) if failing is not self.failing else []
         else:
-            seen = Seen(row.t, row.y, u, decision, begins, tuple(steps), np.zeros(len(self.detector.plant.sensors), bool))
+            seen = Seen(row.t, came, u, decision, begins, tuple(steps), np.isnan(row.y) & np.isfinite(came))
             changes += self.findings.after(seen, decision, self.clock)
             if decision.diverged and not self.lost:
                 changes += self.findings.reset(row.t, "the estimate diverged", self.clock)
         if failure:
             self.concluded = Conclusion(Verdict.BLIND, failure)
         elif decision.diverged or not read or np.isfinite(row.y).any():  # else all are repeats, and the verdict stands
-            self.concluded = conclusion_of(decision, row.y, getattr(self.detector, "process_hypotheses", ()))
+            self.concluded = conclusion_of(decision, row.y, self.detector.process_hypotheses)
         changes += self.findings.sight(row.t, self.concluded, at_once=bool(decision.diverged))
         self.lost, self.failing, self.t = bool(decision.diverged), failing, row.t
         self.state = None if self.lost else state

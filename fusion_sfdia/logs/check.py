@@ -11,8 +11,10 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.logs.findings import LoadedLog
 from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.logs.reading import load_log
-from fusion_sfdia.logs.regularity import regularities
+from fusion_sfdia.logs.regularity import Regularities, regularities
 from fusion_sfdia.logs.suspects import suspected_units
+
+CHECKED = ("input unit suspected", "unit suspected", "repeat", "resolution", "period")  # kinds of findings of `checked`
 
 
 def check_log(
@@ -42,17 +44,21 @@ def check_log(
 
 
 def checked(plant: Plant, found: LoadedLog) -> LoadedLog:
-    """A log that has been read with the findings on units, and on sensors that are slow, coarse or cyclic."""
+    """A log that has been read with the findings on units, and on sensors that are slow, coarse or cyclic; itself where it has
+    been checked already.
+    """
+    if found.checked:
+        return found
     regular = regularities(plant, found.log)
     more = (*suspected_units(regular.of(plant), found.log), *regular.findings(plant))
-    return found._replace(findings=(*found.findings, *more))
+    return found._replace(findings=(*found.findings, *more), checked=True)
 
 
-def without_suspects(plant: Plant, found: LoadedLog) -> LoadedLog:
+def without_suspects(plant: Plant, found: LoadedLog, regular: Regularities | None = None) -> LoadedLog:
     """The log with the readings missing whose unit is suspected wrong, and those that only repeat the one before, since a new
-    one comes every few rows: what they show is no fault of the sensor.
+    one comes every few rows: what they show is no fault of the sensor. regular: the `regularities` of the log, where known.
     """
-    log = regularities(plant, found.log).without_repeats(found.log)
+    log = (regular or regularities(plant, found.log)).without_repeats(found.log)
     if found.suspects:
         y = log.y.copy()
         y[:, np.isin(plant.sensor_names, found.suspects)] = np.nan

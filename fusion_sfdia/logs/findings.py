@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -37,7 +38,8 @@ class Finding:
 class LoadedLog(NamedTuple):
     """A log as it was read: times, readings and inputs of the plant, its wall-clock start, and what was found and done.
 
-    absent: the sensors without a column. columns: what was read of each sensor and input, with its title and unit.
+    absent: the sensors without a column. columns: what was read of each sensor and input, with its title and unit. checked:
+    whether units and regularities are among the findings, see `check_log`.
     """
 
     log: Log
@@ -45,6 +47,7 @@ class LoadedLog(NamedTuple):
     findings: tuple[Finding, ...]
     absent: tuple[str, ...] = ()
     columns: tuple[Source, ...] = ()
+    checked: bool = False
 
     @property
     def suspects(self) -> tuple[str, ...]:
@@ -64,15 +67,22 @@ class LoadedLog(NamedTuple):
     @property
     def brief(self) -> tuple[str, ...]:
         """The remarks, of those on missing values of each sensor or input the first ones and the number of the others."""
-        lines: list[str] = []
-        for kind in dict.fromkeys(f.kind for f in self.findings if f.kind in REMARKABLE):
-            texts = [f.text for f in self.findings if f.kind == kind]
-            more = len(texts) - MOST_OF_A_KIND if kind in ("bad", "held", "quality", "repeat", "resolution") else 0
-            lines += texts if more < 2 else [*texts[:-more], f"and {more} more such remarks, which check-log lists"]
-        return tuple(lines)
+        return briefly(f for f in self.findings if f.kind in REMARKABLE)
 
     def __str__(self) -> str:
         return "\n".join(f.text for f in self.findings)
+
+
+def briefly(findings: Iterable[Finding]) -> tuple[str, ...]:
+    """The texts of findings by kind, of those that many sensors may have the first ones and the number of the others."""
+    texts: dict[str, list[str]] = {}
+    for f in findings:
+        texts.setdefault(f.kind, []).append(f.text)
+    lines: list[str] = []
+    for kind, every in texts.items():
+        more = len(every) - MOST_OF_A_KIND if kind in ("bad", "held", "quality", "repeat", "resolution") else 0
+        lines += every if more < 2 else [*every[:-more], f"and {more} more such remarks, which check-log lists"]
+    return tuple(lines)
 
 
 def counted(count: int, what: str) -> str:

@@ -86,8 +86,7 @@ class Regularities:
         """The detector on the plant with these periods and resolutions; build: makes it for a plant, where it was not fitted to
         readings of this one.
         """
-        fitted = isinstance(detector, BatchDetector) and detector.fitted_rate is not None
-        plant = self.of(detector.plant, noise=not fitted)
+        plant = self.of(detector.plant, noise=build is not None or detector.fitted_rate is None)
         if plant is detector.plant:
             return detector
         if build is not None:

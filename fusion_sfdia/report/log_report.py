@@ -6,7 +6,6 @@ import csv
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
-from functools import partial
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -20,13 +19,12 @@ from fusion_sfdia.core.files import all_or_none, atomic_write, locked
 from fusion_sfdia.core.plain_text import cell, plain
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.verdicts import Verdict
-from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run, present
+from fusion_sfdia.evaluation.diagnose import Diagnosis, present
 from fusion_sfdia.evaluation.events import ProcessEvent, open_questions
-from fusion_sfdia.evaluation.lag import explained_by_lag
-from fusion_sfdia.logs.check import check_log, without_suspects
+from fusion_sfdia.evaluation.loaded_log import prepared
+from fusion_sfdia.logs.check import check_log
 from fusion_sfdia.logs.findings import LoadedLog
 from fusion_sfdia.logs.log_map import LogMap
-from fusion_sfdia.logs.regularity import regularities
 from fusion_sfdia.report.figure_files import write_figure
 from fusion_sfdia.report.log_figures import broken, process_size, thinned, time_axis, time_line
 from fusion_sfdia.report.log_page import About, write_page
@@ -66,10 +64,8 @@ def diagnose_log(
 
     A bar shows the progress on a terminal. suffix: as of `write_diagnosis`.
 
-    log_map: how the log is written, see `load_log`. read: what `check_log` has found, where it was called already. Sensors
-    whose unit looks wrong, and readings that only repeat the one before, are taken as missing: that is no fault. build: makes
-    the detector anew where readings of sensors are found to be coarse or cyclic, by default itself. held: whether the caller
-    has `locked` the folder.
+    log_map: how the log is written, see `load_log`. read: what `check_log` has found, where it was called already. build: makes
+    the detector anew, see `prepared`. held: whether the caller has `locked` the folder.
     Raises ValueError naming the file where the log does not fit (see load_log), and where the folder is not free or another
     process writes into it; warns of what reading the log found, and as `diagnose_run` does.
     """
@@ -79,17 +75,14 @@ def diagnose_log(
         loaded = check_log(data, plant, log_map, **given) if read is None else read
         for remark in loaded.brief:
             warnings.warn(f"{data}: {remark}", stacklevel=2)
-        detector = regularities(plant, loaded.log).detector(detector, build)
-        log = without_suspects(plant, loaded).log
-        unread = (*loaded.absent, *loaded.suspects)
-        again = partial(diagnose_run, detector, clock=loaded.clock, each=progress, unread=unread)
+        judged = prepared(detector, loaded, build)
         try:
-            found = explained_by_lag(detector, log, again(log), again)
+            found = judged.diagnose(each=progress)
         except ValueError as error:
             raise ValueError(f"{data}: {error}") from error
         with all_or_none(out, instead_of=OF_BEFORE) as new:
             about = About(data.name, detector_name or type(detector).__name__)
-            write_diagnosis(new, plant, log.y, log.u, found, about, LogUnits(plant, loaded.columns), suffix)
+            write_diagnosis(new, plant, judged.log.y, judged.log.u, found, about, LogUnits(plant, loaded.columns), suffix)
     return found
 
 

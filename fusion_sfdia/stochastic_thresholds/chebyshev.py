@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import floats, number, shown, whole
-from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep, without_false_alarms
 from fusion_sfdia.core.detector import Decision, run
 from fusion_sfdia.core.exclusion import Exclusion, exclude, none_excluded, readmit, restored
-from fusion_sfdia.core.redundancy import most_faults, require_max_faults
+from fusion_sfdia.core.redundancy import most_faults, require_max_faults, why_no_more
 from fusion_sfdia.filters.estimators import Estimator, Unscented, require_filter
 from fusion_sfdia.filters.ukf import SigmaPoints
 from fusion_sfdia.stochastic_thresholds.area_diagnosers import AreaDiagnosers
@@ -139,6 +139,16 @@ class Chebyshev(BatchDetector):
         owners = [s.owner if self.plant.structure.areas is not None else "" for s in self.plant.sensors]
         return np.array([owners.count(owner) for owner in owners])
 
+    @property
+    def claimed_rate(self) -> float:
+        """By Chebyshev's inequality for each sensor; 0 with thresholds that bounded noise cannot cross."""
+        if self.fitted_rate is not None or self.false_alarm is not None:
+            return super().claimed_rate
+        if self.alpha is not None:
+            bound = float(np.sum(self.alphas**-2.0))
+            return bound if bound < 1 else np.nan
+        return without_false_alarms(self.plant) if self.rule == BOUND else np.nan
+
     @cached_property
     def alphas(self) -> Array:
         """Threshold of each sensor (N,) in standard deviations."""
@@ -150,6 +160,12 @@ class Chebyshev(BatchDetector):
         if given.shape not in {(1,), (count,)}:
             raise ValueError(f"alpha has shape {given.shape}; expected one number or one for each of {count} sensors")
         return np.broadcast_to([require_alpha(self.rule, a) for a in given], (count,)).astype(float)
+
+    def watching(self) -> Self:
+        return replace(self, accommodate=False)
+
+    def why_no_more(self) -> str:
+        return why_no_more(self.plant, self.max_faults)
 
     @cached_property
     def most_faults(self) -> int:

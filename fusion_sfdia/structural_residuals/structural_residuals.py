@@ -21,6 +21,7 @@ from fusion_sfdia.core.detector import Decision, NotApplicableError, check_readi
 from fusion_sfdia.core.log import as_log
 from fusion_sfdia.core.order_statistics import order_statistic
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.redundancy import why_no_more
 from fusion_sfdia.core.state import mapped
 from fusion_sfdia.structural_residuals.selection import reads, selected
 from fusion_sfdia.structural_residuals.sequences import Sequences
@@ -105,7 +106,8 @@ class StructuralResiduals(BatchDetector):
         unit = order_statistic(units, false_alarm / len(residuals))
         if not np.all(unit > 0):
             raise ValueError("residuals of the healthy readings are 0; record them with their noise")
-        return replace(watcher, limits=unit * order_statistic(np.max(rest / unit, axis=-1), false_alarm))
+        limits = unit * order_statistic(np.max(rest / unit, axis=-1), false_alarm)
+        return replace(watcher, limits=limits, fitted_rate=false_alarm)
 
     def trace(self, y: Array, u: Array) -> Array:
         """Return the residuals (K, ..., R) of readings y (K, ..., N), plant.dt apart, under inputs u (K, ..., m)."""
@@ -155,6 +157,9 @@ class StructuralResiduals(BatchDetector):
         found = np.full((len(variables), len(y)), np.nan)
         found[[variables.index(s.measures) for s in self.plant.sensors]] = (y / self.plant.sensor_scale).T
         return found
+
+    def why_no_more(self) -> str:
+        return why_no_more(self.plant, self.max_faults)
 
     @property
     def most_faults(self) -> int:

@@ -20,7 +20,7 @@ from fusion_sfdia import compare, registry
 from fusion_sfdia.cli.main import main
 from fusion_sfdia.comparison.recordings import failing
 from fusion_sfdia.comparison.subjects import ComparedPlant, cases_of, compared_detector, compared_plant
-from fusion_sfdia.core.detector import MissingPackageError
+from fusion_sfdia.core.detector import Claims, MissingPackageError
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.cases import ComparisonCases, MismatchCase, ProcessFaultCase
 from fusion_sfdia.evaluation.faults import Fault
@@ -300,7 +300,7 @@ def test_a_folder_that_is_in_use_is_refused_with_the_arguments_of_the_function(t
 
 
 @dataclass(frozen=True)
-class Unscaled:
+class Unscaled(Claims):
     """A detector without a scale of its thresholds."""
 
     plant: Plant

@@ -32,7 +32,7 @@ FOLDERS: dict[str, set[str]] = {
     "stochastic_thresholds": {"core", "filters"},
     "data_driven": {"core"},
     "structural_residuals": {"core"},
-    "evaluation": {"core", "filters"},
+    "evaluation": {"core", "filters", "logs"},
     "identification": {"core", "filters"},
     "monitoring": {"core", "evaluation", "identification", "kalman_banks", "data_driven"},
     "learning": {"core", "evaluation", "logs", "live"},

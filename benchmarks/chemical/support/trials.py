@@ -79,5 +79,5 @@ def trial(task: Task) -> Arrays:
         arrays |= {f"{name} {what}": values for what, values in verdicts(detector, logs[name]).items()}
     faulty, active = biased(task, judged, detector.plant)
     arrays |= {f"bias {what}": values for what, values in verdicts(detector, faulty).items()}
-    names = [h.name for h in getattr(detector, "process_hypotheses", ())]
+    names = [h.name for h in detector.process_hypotheses]
     return arrays | {"bias active": active[WARM_UP:], "names": np.array(names, dtype=str)}

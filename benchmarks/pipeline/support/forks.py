@@ -15,8 +15,13 @@ from fusion_sfdia.core.state import chosen_runs
 from fusion_sfdia.evaluation.trials import Faulted
 from fusion_sfdia.filters.estimators import Core, Ensemble, GaussianState, Prior, Reading
 from fusion_sfdia.filters.gaussian import Joint
+from fusion_sfdia.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank
+from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.kalman_banks.multiple_model import MultipleModel
 
 Array = NDArray[Any]
+OF_ESTIMATORS = (CentralFilter, ExcludingBank, FusingBank, MultipleModel)
 
 
 def decisions(detector: Detector, cases: Sequence[Faulted], seed: int = 0) -> Iterator[Decision]:
@@ -50,10 +55,10 @@ def decisions(detector: Detector, cases: Sequence[Faulted], seed: int = 0) -> It
 
 def _of_runs(detector: Detector, count: int, runs: Array) -> Detector:
     """The detector for some of `count` runs, of which one may occur more than once; only an ensemble tells them apart."""
-    settings = cast(Any, detector)
-    if not isinstance(estimator := getattr(detector, "estimator", None), Ensemble):
+    if not isinstance(detector, OF_ESTIMATORS) or not isinstance(detector.estimator, Ensemble):
         return detector
-    changed: Detector = replace(settings, estimator=_EnsembleOfRuns(estimator, count, tuple(runs.tolist())))
+    settings = cast(Any, detector)
+    changed: Detector = replace(settings, estimator=_EnsembleOfRuns(detector.estimator, count, tuple(runs.tolist())))
     return changed
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia import registry
 from fusion_sfdia.benchmarks.pipeline.support.forks import decisions
-from fusion_sfdia.builders import fusing_bank, watching
+from fusion_sfdia.builders import fusing_bank
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.fault_draws import PRESETS, FaultRange
@@ -131,7 +131,7 @@ def trial(task: Task, detector: Detector | None = None, truth: Plant | None = No
     if detector is None:
         detector = detector_on_pipeline(task["detector"], task["snr"], task["process_noise"], task["feedback"])
     if not task["accommodate"]:
-        detector = watching(detector)
+        detector = detector.watching()
     plant = detector.plant
     # a truth of more nodes than the filter's model: its states at the filter's nodes
     to_states = partial(coarse_state, stations=len(plant.states) // 3) if isinstance(truth, Plant) else None
