@@ -6,13 +6,15 @@ step,
 
     x+ = lam x + (1 - lam)/a (h + L y),   a = rate + L,   lam = exp(-a dt),
 
-An algebraic variable has its equation, evaluated at the readings, (11)-(13). A threshold bounds the effect of noise within the
+An algebraic variable has its equation over the box of readings, (11)-(13); its residual is y less the middle of that interval,
+in place of y (5) or -xi at the readings (K22 (27)), and decides alike. A threshold bounds the effect of noise within the
 sensors' bounds d. The state's error e obeys
 
     |e|+ <= lam |e| + (1 - lam)/a (sup |h - h(true)| + L d) + moved,   |y - x| <= |e| + d
 
 where `moved` bounds the change of the state within a step (see monitoring). The supremum, and the interval of an algebraic
 residual, come from the corners of the equation over the box of true values that the readings allow (`corner_bounds`).
+Disturbances eta_x, eta_z, bounded by Assumption 1 of Kougiatsos 2022 (K22), have no part in it, nor in the papers' thresholds.
 
 No false alarm is possible as long as the plant obeys its equations, readings are within their bounds, variables are within the
 envelope and monotone over one step, and states move by no more than their `drift`. h is evaluated at the middle of the two

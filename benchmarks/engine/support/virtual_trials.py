@@ -1,7 +1,8 @@
 """Runs of engine/virtual-sensors: three faults of a marine engine, by its modules alone and with virtual sensors.
 
 V22: Kougiatsos and Reppa 2022, "A distributed virtual sensor scheme for marine fuel engines". Its MAPE of a module is the mean
-of |f^ - f| / |f| from a time t_0 on, f^ = 0 before the module's sensor is isolated.
+of |f^ - f| / |f| from a time t_0 on, f^ = 0 before the module's sensor is isolated. In whole runs
+intervals are by corners, also for M(2,3), which V22 inverts by SIVIA: the two are compared on short runs.
 """
 
 from __future__ import annotations
