@@ -169,5 +169,5 @@ SCENARIO = Scenario(
     tasks=signature_tasks,
     work=signature_work,
     summarise=signature_summary,
-    papers=("kougiatsos2024",),
+    papers=("kougiatsos2024", "kougiatsos2022"),
 )

@@ -6,21 +6,24 @@ step,
 
     x+ = lam x + (1 - lam)/a (h + L y),   a = rate + L,   lam = exp(-a dt),
 
-An algebraic variable has its equation, evaluated at the readings, (11)-(13). A threshold bounds the effect of noise within the
+An algebraic variable has its equation over the box of readings, (11)-(13); its residual is y less the middle of that interval,
+in place of y (5) or -xi at the readings (K22 (27)), and decides alike. A threshold bounds the effect of noise within the
 sensors' bounds d. The state's error e obeys
 
     |e|+ <= lam |e| + (1 - lam)/a (sup |h - h(true)| + L d) + moved,   |y - x| <= |e| + d
 
 where `moved` bounds the change of the state within a step (see monitoring). The supremum, and the interval of an algebraic
 residual, come from the corners of the equation over the box of true values that the readings allow (`corner_bounds`).
+Disturbances eta_x, eta_z, bounded by Assumption 1 of Kougiatsos 2022 (K22), have no part in it, nor in the papers' thresholds.
 
 No false alarm is possible as long as the plant obeys its equations, readings are within their bounds, variables are within the
 envelope and monotone over one step, and states move by no more than their `drift`. h is evaluated at the middle of the two
 readings of a step; its box contains both. For a missing reading the box is the whole envelope. Readings at which an equation
 has no value are moved into the envelope for that equation.
 
-With `observer_bounds` the thresholds of the observers are (10) with given constants, as published. The Lipschitz constant of
-(10) is then the slope at the nominal point: an equation with an infinite slope within the box has no Lipschitz constant.
+With `observer_bounds` the thresholds of the observers are (10) with given constants, as published. Their Lipschitz constants
+are slopes at the nominal point, as an equation with an infinite slope within the box has none: Lambda = |dh/dx|, and for
+lambda_h d_chi the sum of |dh/dv| d over all other readings v of h, also local ones, which d_chi leaves out.
 """
 
 from __future__ import annotations
@@ -156,14 +159,12 @@ class AdaptiveThreshold(BatchDetector):
 
     @cached_property
     def _steepness(self) -> Array:
-        """|dh/dx| of each state's equation by that state at the nominal point (S,), 1/s."""
+        """|dh/dv| of each state's equation by each variable at the nominal point (S, E), in units of the state per v and s."""
         m = self._modules
         at = dict(m.nominal) | {s.name: s.nominal for s in self.plant.inputs}
-        moved: list[dict[str, Any]] = [{**at, v: at[v] + 1j * COMPLEX_STEP} for v in m.states]
-        rates = [
-            m.equations[v](*(p[a] for a in quantities_of(m.equations[v])), m.parameters)
-            for v, p in zip(m.states, moved, strict=True)
-        ]
+        moved: list[dict[str, Any]] = [{**at, v: at[v] + 1j * COMPLEX_STEP} for v in m.equations]
+        laws = [m.equations[v] for v in m.states]
+        rates = [[h(*(p[a] for a in quantities_of(h)), m.parameters) for p in moved] for h in laws]
         return np.asarray(np.abs(np.imag(rates)) / COMPLEX_STEP)
 
     @cached_property
@@ -246,11 +247,13 @@ class AdaptiveThreshold(BatchDetector):
 
     def _published(self, error: Array, t: Array) -> Array:
         """Bounds of the states' errors (B, S) at t (B,) since the start: (10) less the noise where constants are given."""
-        error = error.copy()
+        error, bound = error.copy(), self._bound
         for e, variable in enumerate(self._modules.states):
             if variable in self.observer_bounds:
-                c, start, lipschitz = self.observer_bounds[variable], self.half_width[e], self._steepness[e]
-                error[:, e] = c.threshold(t, start, self._bound[e], lipschitz)
+                slopes = self._steepness[e]
+                others = float(np.delete(slopes * bound, e).sum())
+                c, start = self.observer_bounds[variable], self.half_width[e]
+                error[:, e] = c.threshold(t, start, bound[e], slopes[e], others)
         return error
 
 

@@ -73,7 +73,8 @@ class VirtualSensors(BatchDetector):
     envelope, drift: as of AdaptiveThreshold.
     learning_rates: {state: Gamma, 1/s} for states whose fault an adaptive observer (12) estimates, with the gain of their
     module. Its estimate is not guaranteed; the interval is.
-    intersect: False for the interval of each instant alone, as (14) and (17) are printed.
+    intersect: False for the interval of each instant alone, as (17) is printed. (14) has the equation's value at the readings
+    in place of the middle.
     inversion: "corners", or "sivia" for set inversion (15) of the algebraic equations of isolated sensors, which is slow.
     """
 

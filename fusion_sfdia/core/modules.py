@@ -22,13 +22,14 @@ class ObserverBound(NamedTuple):
     rho_d: float  # 1/s
     xi_d: float  # 1/s
 
-    def threshold(self, t: Array, start: float, bound: float, lipschitz: float) -> Array:
-        """(10) less the bound d of the last reading, with Lambda = lambda_h, the integral in closed form.
+    def threshold(self, t: Array, start: float, bound: float, lipschitz: float, others: float) -> Array:
+        """(10) less the bound d of the last reading, the integral in closed form.
 
-        t: s since the start; start: bound of the first error; bound: d; lipschitz: lambda_h, 1/s.
+        t: s since the start; start: bound of the first error; bound: d of the state's own sensor; lipschitz: Lambda, of h by
+        the state, 1/s; others: lambda_h d_chi of (10b), the effect on h of the noise in the other readings, per s.
         """
         rho, xi, rho_d, xi_d = self
-        first, noise, field = rho * start, rho_d * bound / xi_d, rho * lipschitz * bound / xi
+        first, noise, field = rho * start, rho_d * bound / xi_d, rho * others / xi
         fast, slow = np.exp(-xi * t), np.exp(-xi_d * t)
         effect = first * fast + noise * (1 - slow) + field * (1 - fast)
         noise_memory = t * fast if xi == xi_d else (slow - fast) / (xi - xi_d)

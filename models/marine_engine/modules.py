@@ -1,6 +1,7 @@
 """The monitoring modules of K24, sec. VII: which equation each tests, with which sensors, gains and bounds.
 
-The modules M(I,q) of a subsystem I each test the equation of one variable. Those of a state are observers.
+The modules M(I,q) of a subsystem I each test the equation of one variable, as the index sets of Kougiatsos 2022 state; by that
+of K24, sec. IV-C, M(2,3) would test two and M(3,3) three. Those of a state are observers.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ MODULES = {
     "M(4,3)": Module("T_compressor", ("S(4){2}", "S(4){3}")),
 }
 GAINS = {"fuel": 1.16, "p_receiver": 900.0, "p_charge": 499.98}  # 1/s, gains L of the observers: K24, sec. VII
-OBSERVER_BOUNDS = {  # K24, sec. VII; rho < 1 and rho_d < L of the last two contradict their definitions
+OBSERVER_BOUNDS = {  # K24, sec. VII; rho < 1 of the last two and rho_d < L of the last contradict their definitions
     "fuel": ObserverBound(1.0, 25.0, 2.0, 20.0),
     "p_receiver": ObserverBound(0.05, 600.0, 900.0, 1000.0),
     "p_charge": ObserverBound(0.03, 500.0, 320.0, 450.0),

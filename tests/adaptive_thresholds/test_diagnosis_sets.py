@@ -223,6 +223,14 @@ def test_the_printed_local_sets_of_single_faults():
     assert singles == subsets("f1(3) f2(3) f3(2) f2(4)")
 
 
+def test_which_sensors_a_silent_observer_of_agent_3_excludes():
+    """K24, sec. VII: [0 1 0] "would exclude" f1(3) and f2(3). By its Table II only the first, by K22's Table 1 both."""
+    for matrix, excluded in ((K24_LOCAL, {"f1(3)"}), (K22_LOCAL, {"f1(3)", "f2(3)"})):
+        agent = {m: matrix[m] for m in AGENTS["E(3)"].modules}
+        named = DiagnosisLogic(signature_matrix(agent, SENSORS)).isolated(np.array([False, True, False]))
+        assert {"f1(3)", "f2(3)"} - set(np.array(SENSORS)[named]) == excluded
+
+
 def test_minimal_sets_and_all_consistent_sets_are_unsuitable():
     """At 70.01 s, f3(2), f1(3) and f2(4) act."""
     pattern = fired(*K24_STEPS[70.01][0])

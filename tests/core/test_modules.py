@@ -18,16 +18,16 @@ MODULES = tank_modules()
 @pytest.mark.parametrize("t", [0.001, 0.2, 3.0])
 def test_the_published_threshold_is_its_integral(c: ObserverBound, t: float) -> None:
     """K24 (10): E(t) + rho Lambda int_0^t E(tau) exp(-xi (t - tau)) dtau, for equal rates of decay too."""
-    start, bound, lipschitz = 3.0, 0.7, 5.0
+    start, bound, lipschitz, others = 3.0, 0.7, 5.0, 11.0
 
     def effect(s: float) -> float:
         first = c.rho * np.exp(-c.xi * s) * start
         noise = c.rho_d * bound / c.xi_d * (1 - np.exp(-c.xi_d * s))
-        return float(first + noise + c.rho * lipschitz * bound / c.xi * (1 - np.exp(-c.xi * s)))
+        return float(first + noise + c.rho * others / c.xi * (1 - np.exp(-c.xi * s)))
 
     memory, _ = quad(lambda s: effect(s) * np.exp(-c.xi * (t - s)), 0.0, t, epsabs=0, epsrel=1e-11, limit=200)
     expected = effect(t) + c.rho * lipschitz * memory
-    assert c.threshold(np.array(t), start, bound, lipschitz) == pytest.approx(expected, rel=1e-9)
+    assert c.threshold(np.array(t), start, bound, lipschitz, others) == pytest.approx(expected, rel=1e-9)
 
 
 def test_the_states_come_first_and_the_inputs_last() -> None:

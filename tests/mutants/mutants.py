@@ -188,6 +188,18 @@ MUTANTS = (
     ),
     Mutant(
         "fusion_sfdia/adaptive_thresholds/adaptive_threshold.py",
+        "np.delete(slopes * bound, e).sum()",
+        "slopes[e] * bound[e]",
+        "tests/adaptive_thresholds/test_adaptive_threshold.py::test_published_thresholds_in_noise_bounds",
+    ),
+    Mutant(
+        "models/marine_engine/equations.py",
+        "1.0 + c.loss_gradient * (1.0 - n)",
+        "1.0 + c.loss_gradient * (n - 1.0)",
+        "tests/models/marine_engine/test_marine_engine_equations.py::test_torque_is_the_area_of_the_indicator_diagram",
+    ),
+    Mutant(
+        "fusion_sfdia/adaptive_thresholds/adaptive_threshold.py",
         "/ self.plant.dt\n        rates",
         "\n        rates",
         "tests/adaptive_thresholds/test_adaptive_threshold.py::test_a_load_step_raises_no_alarm_and_errors_keep_their_bounds",

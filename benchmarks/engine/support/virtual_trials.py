@@ -1,7 +1,8 @@
 """Runs of engine/virtual-sensors: three faults of a marine engine, by its modules alone and with virtual sensors.
 
 V22: Kougiatsos and Reppa 2022, "A distributed virtual sensor scheme for marine fuel engines". Its MAPE of a module is the mean
-of |f^ - f| / |f| from a time t_0 on, f^ = 0 before the module's sensor is isolated.
+of |f^ - f| / |f| from a time t_0 on, f^ = 0 before the module's sensor is isolated. In whole runs
+intervals are by corners, also for M(2,3), which V22 inverts by SIVIA: the two are compared on short runs.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from fusion_sfdia.benchmarks.engine.support.trials import (
     tasks,
     trial,
 )
-from fusion_sfdia.evaluation.results import Published
+from fusion_sfdia.evaluation.results import AT_MOST, Published
 from fusion_sfdia.experiments.scenario import Arrays, Settings, Task, seed_blocks
 from fusion_sfdia.models.marine_engine.published import Offset
 
@@ -36,8 +37,13 @@ SIZED = ("M(2,3)", "M(3,1)", "M(4,2)")  # the modules of these sensors
 SINCE = (40.0, 20.0, 20.0)  # s, t_0
 MAPE = (8.76, 0.26, 3.74)  # percent
 LEARNING_RATES = {"fuel": 0.5, "p_receiver": 8.7, "p_charge": 5.0}  # 1/s
-IDENTIFIED = Published(10.0, f"{V22}: approximately")  # s, of M(3,1)
-REMAINS = 0.05  # of the fault, once it is identified; ours
+DELAYED = Published(10.0, f"{V22}: almost")  # s, isolation of M(2,3)
+IDENTIFIED = {  # s
+    "M(2,3)": Published(30.0, f"{V22}: within" + AT_MOST),
+    "M(3,1)": Published(10.0, f"{V22}: within approximately" + AT_MOST),
+}
+REMAINS = 0.05  # of the fault, once an adaptive observer has identified it; ours
+WITHIN = MAPE[0] / 100  # of the fault, once M(2,3) has identified it: its error in V22
 DURATION = 100.0  # s
 SHORT_FAULTS, SHORT = tuple(f._replace(onset=f.onset / 50) for f in FAULTS), 3.0  # s, where inversions are compared
 KEPT = 10  # samples, of which one is drawn
@@ -103,14 +109,15 @@ def follow(
     interval contains the fault, of the `isolated` (B, F) ones. width (B, F): of the last interval over the fault, NaN where it
     is empty.
     square, square_faulty (B, F): mean squared error of the reconstructed and of the faulty reading since t_0.
-    rise (B, F): s from the isolation until the estimate reaches 1 - REMAINS of the fault, NaN for never.
+    rise (B, F): s from the isolation until the estimate reaches 1 - REMAINS of the fault, NaN for never. settled (B, F): s from
+    the isolation until the error is below WITHIN of the fault for good, inf where it is not at the end.
     trace (4, B, K / KEPT, N): time, the fault's estimate, and the ends of its interval.
     """
     own = [detector.plant.sensor_index(f.sensor) for f in faults]
     true, since = np.array([f.magnitude for f in faults]), np.minimum(from_, t[-1])
     runs, count = y.shape[1:]
     state = detector.init((runs,), float(t[0]) - detector.plant.dt)
-    first, rise = np.full((runs, count), np.inf), np.full((runs, len(faults)), np.nan)
+    first, (rise, settled) = np.full((runs, count), np.inf), np.full((2, runs, len(faults)), np.nan)
     ape, inside, isolated, square, square_faulty = np.zeros((5, runs, len(faults)))
     trace = np.zeros((4, runs, t.size // KEPT, count), np.float32)
     for k, now in enumerate(t):
@@ -121,6 +128,7 @@ def follow(
         error = np.abs(size[:, own] / true - 1)
         risen = found & (size[:, own] >= (1 - REMAINS) * true) & np.isnan(rise)
         rise = np.where(risen, now - first[:, own], rise)
+        settled = np.where(found & (error <= WITHIN), np.fmin(settled, now - first[:, own]), np.nan)
         inside += found & (held.lo[:, own] <= true) & (true <= held.hi[:, own])
         isolated += found
         late = now >= since - detector.plant.dt / 2
@@ -141,6 +149,7 @@ def follow(
         "square": square / samples,
         "square_faulty": square_faulty / samples,
         "rise": rise,
+        "settled": np.where(np.isnan(settled), np.inf, settled),
         "trace": trace,
     }
 

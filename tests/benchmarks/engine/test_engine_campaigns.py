@@ -144,7 +144,7 @@ def test_groups_of_modules() -> None:
 
 
 def test_missed_detections_increase_with_the_noise() -> None:
-    """The same draws at rising levels: missed detections and delays by other agents increase, within chance."""
+    """The same draws at rising levels: missed detections and delays increase, within chance (K24, Fig. 5 and Table VI)."""
     one = scenario("engine/noise")
     settings = {**one.settings, "levels": (0.02, 0.04, 0.06, 0.1), "onset": 0.3, "duration": 1.3}
     rows = one.summarise(settings, [(t, one.work(t)) for t in one.tasks(settings, 20)]).rows
@@ -158,11 +158,17 @@ def test_missed_detections_increase_with_the_noise() -> None:
             assert all(after.high >= before.low for before, after in pairwise(rates))  # Wilson's 95 % intervals
             if group == AGENTS:
                 assert rates[-1].low > rates[0].value
-    # the modules of other agents are among all other modules, which may detect more
+            times = [r for r in rows if r.fault == missed[0].fault and r.metric == "detection_delay" and r.quantity == group]
+            whole = [delay for delay, rate in zip(times, rates, strict=True) if rate.value == 0]  # delays of all runs
+            assert all(after.high >= before.low for before, after in pairwise(whole))  # Student's 95 % intervals
+            if group == OTHERS:
+                assert whole[-1].low > whole[0].high
+    # Fig. 5: the own module misses no more than the other agents do; their modules are among all others, which may detect more
     by = {(r.fault, r.quantity, r.condition): r.value for r in rows if r.metric == "missed_detection_rate"}
     for (fault, quantity, level), value in by.items():
         if quantity == AGENTS:
-            assert by[fault, OTHERS, level] <= value
+            own = NAMES[modules_of(fault.split()[0], OWN)[0]]
+            assert by[fault, own, level] <= value and by[fault, OTHERS, level] <= value
 
 
 def test_faults_of_two_thresholds_are_always_detected() -> None:

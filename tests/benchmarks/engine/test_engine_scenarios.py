@@ -49,16 +49,22 @@ def test_published_numbers_state_their_source() -> None:
     first = THREE_FAULTS.first_alarm("M(3,1)")
     assert first is not None and first.value == 45.06 and "Fig. 4" in first.source
     assert TWO_FAULTS.first_alarm("M(1,1)") is None
+    runs = [(*(tuple(f) for f in e.faults), e.noise) for e in (THREE_FAULTS, TWO_FAULTS)]
+    assert runs == [
+        (("S(2){3}", 20.0, -3.8e4), ("S(3){1}", 45.0, 5e4), ("S(4){2}", 70.0, 8.0), 0.05),  # N m, Pa, K
+        (("S(3){1}", 10.0, 5e4), ("S(4){2}", 20.0, 8.0), 0.03),
+    ]
+    assert TWO_FAULTS.duration == 60.0  # K24 states no length
     assert set(THREE_FAULTS.fired) | set(TWO_FAULTS.fired) <= set(NAMES)
 
 
 def test_the_printed_timelines_checked_by_hand() -> None:
     """K24: 2, 4, 5, 6 sensors isolated from 20, 45.06, 69.9, 70.01 s on. K22: 2, 3, 3, 4 from 10, 20, 22.1, 25.3 s on."""
-    for published, counts in ((THREE_FAULTS, [2, 4, 5, 6]), (TWO_FAULTS, [2, 3, 3, 4])):
+    for published, counts, onset in ((THREE_FAULTS, [2, 4, 5, 6], 20.0), (TWO_FAULTS, [2, 3, 3, 4], 10.0)):
         lines = timeline(published_first(published.fired), published.faults, published.duration)
         at = np.searchsorted(lines.t, sorted(published.fired.values()))
         assert lines.isolated[at, 0].sum(axis=-1).tolist() == counts
-        assert lines.active.any(axis=-1)[:, 0].tolist() == (lines.t >= published.faults[0].onset).tolist()
+        assert lines.active.any(axis=-1)[:, 0].tolist() == (lines.t >= onset).tolist()
     one = scenario("engine/three-faults")
     rows = list(one.summarise(one.settings, []).rows)
     ours = {m: value(rows, metric=f"{m}_performance_percent") for m in ("isolation", "exoneration")}

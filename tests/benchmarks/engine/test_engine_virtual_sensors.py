@@ -19,9 +19,11 @@ from fusion_sfdia.benchmarks.engine.support.virtual_trials import (
     SINCE,
     SIZED,
     VARIANTS,
+    WITHIN,
     follow,
     virtual_sensors,
 )
+from fusion_sfdia.benchmarks.engine.virtual_sensors import sensor_rows
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays
 from fusion_sfdia.models.marine_engine.published import Offset
@@ -77,6 +79,10 @@ def test_the_arrays_of_a_run() -> None:
         assert np.all(((low <= fault.magnitude) & (fault.magnitude <= high))[..., column][known]) and known[:, late].all()
         last = (high - low)[:, -1, column] / fault.magnitude
         np.testing.assert_allclose(found["width"][:, i], last, rtol=1e-3)  # of two numbers in single precision
+        inside = np.abs(size[:, :, column] / fault.magnitude - 1) <= WITHIN  # of every KEPT-th sample, so within 0.1 s
+        since = [0 if i.all() else np.flatnonzero(~i)[-1] + 1 for i in inside]
+        ends = [time[0, k, column] if k < i.size else np.inf for k, i in zip(since, inside, strict=True)]
+        np.testing.assert_allclose(found["settled"][:, i] + found["first"][:, column], ends, atol=0.01 * KEPT + 1e-6)
     assert np.all(found["square"] < found["square_faulty"])
 
 
@@ -87,7 +93,7 @@ def test_an_undetected_fault_counts_as_an_error_of_100_percent() -> None:
     y = offsets(detector.plant, healthy.t, healthy.y, unseen)
     found = follow(detector, healthy.t, y, healthy.u, healthy.signal, unseen, (0.2,))
     assert np.isinf(found["first"]).all() and found["mape"].tolist() == [[100.0]] * 3
-    assert np.isnan(found["rise"]).all() and not found["isolated"].any()
+    assert np.isnan(found["rise"]).all() and np.isinf(found["settled"]).all() and not found["isolated"].any()
 
 
 def test_impossible_settings_are_refused() -> None:
@@ -105,3 +111,14 @@ def test_published_numbers() -> None:
     assert (MAPE, SINCE) == ((8.76, 0.26, 3.74), (40.0, 20.0, 20.0))
     assert [tuple(f) for f in FAULTS] == [("S(2){3}", 10.0, 5e3), ("S(3){1}", 10.0, 5e4), ("S(4){2}", 20.0, 100.0)]
     assert LEARNING_RATES == {"fuel": 0.5, "p_receiver": 8.7, "p_charge": 5.0}
+    nothing = {name: np.zeros((2, 3)) for name in ("mape", "inside", "width", "square", "square_faulty", "rise")}
+    found = {**nothing, "first": np.full((2, 10), 10.5), "isolated": np.ones((2, 3)), "settled": np.full((2, 3), 20.0)}
+    times = ("isolation_delay", "identification_time")
+    rows = {(r.quantity, r.metric): r for r in sensor_rows({INTERSECTED: found}, 100.0) if r.metric in times}
+    assert {k: (r.value, r.published) for k, r in rows.items() if r.published} == {
+        ("M(2,3)", "isolation_delay"): (0.5, 10.0),
+        ("M(2,3)", "identification_time"): (20.0, 30.0),
+        ("M(3,1)", "identification_time"): (0.0, 10.0),
+    }
+    assert [r.agrees for r in rows.values() if r.metric == "identification_time"] == [True, True]  # upper bounds
+    assert not any(r.published for r in sensor_rows({INTERSECTED: found}, 50.0))

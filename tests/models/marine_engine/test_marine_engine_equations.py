@@ -72,16 +72,21 @@ def test_the_peak_pressure_is_that_of_the_file() -> None:
     assert corners(POINTS[0])[2].p == pytest.approx(206e5, rel=ROUNDING)
 
 
+@pytest.mark.parametrize("gradient", [0.0, 0.3])
 @every_point
-def test_torque_is_the_area_of_the_indicator_diagram(z: Any) -> None:
+def test_torque_is_the_area_of_the_indicator_diagram(z: Any, gradient: float) -> None:
     # (33): integral of p dV, by quadrature along each process; printed, it is more than two hundred times as large
     exponents = (C.kappa_air, None, 0.0, 1.0, C.n_expansion)  # of p V^n = constant; None: at constant volume
     work = 0.0
     for (a, b), n in zip(pairwise(corners(z)), exponents, strict=True):
         if n is not None:
             work += quad(lambda V, a=a, n=n: a.p * (a.V / V) ** n, a.V, b.V, epsrel=1e-12)[0]
-    torque = work * C.cylinders / (2 * np.pi * C.revolutions_per_cycle) - C.loss_nominal
-    assert z["torque"] == pytest.approx(torque, rel=1e-9)  # compression and expansion cancel to a third: 1e-12 a quadrature
+    losses = C.loss_nominal * (1 + gradient * (C.speed_nominal - z["speed"]) / C.speed_nominal)
+    torque = work * C.cylinders / (2 * np.pi * C.revolutions_per_cycle) - losses
+    found = equations.shaft_torque(
+        *(z[v] for v in ("fuel", "T_cylinder", "torque", "p_charge", "T_charge")), C._replace(loss_gradient=gradient)
+    )
+    assert found == pytest.approx(torque, rel=1e-9)  # compression and expansion cancel to a third: 1e-12 a quadrature
 
 
 @every_point

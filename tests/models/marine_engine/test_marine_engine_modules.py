@@ -28,6 +28,13 @@ def test_observers_have_gains_and_bounds_and_the_plant_carries_them() -> None:
     assert modules is not None
     assert set(GAINS) == set(OBSERVER_BOUNDS) == set(STATES)
     assert (modules.gains, modules.observer_bounds) == (GAINS, OBSERVER_BOUNDS)
+    assert GAINS == {"fuel": 1.16, "p_receiver": 900.0, "p_charge": 499.98}  # K24, sec. VII
+    constants = {
+        "fuel": (1.0, 25.0, 2.0, 20.0),
+        "p_receiver": (0.05, 600.0, 900.0, 1000.0),
+        "p_charge": (0.03, 500.0, 320.0, 450.0),
+    }
+    assert constants == OBSERVER_BOUNDS
     assert modules.names == {module.variable: name for name, module in MODULES.items()}
 
 
