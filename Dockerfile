@@ -1,5 +1,5 @@
 # The command line without a Python of your own. In the folder of a log:
-#   docker run --rm -v "$PWD:/data" fusion-sfdia monitor --healthy last-week.csv --data today.csv
+#   docker run --rm --user "$(id -u):$(id -g)" -v "$PWD:/data" fusion-sfdia monitor --healthy last-week.csv --data today.csv
 FROM python:3.12-slim AS build
 WORKDIR /source
 COPY pyproject.toml README.md LICENSE ./

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -9,7 +10,6 @@ from typing import Any
 
 from fusion_sfdia import registry
 from fusion_sfdia.builders import healthy_data
-from fusion_sfdia.core.batch_detector import BatchDetector
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.log import as_log, is_frame, one_run
 from fusion_sfdia.core.plant import Plant
@@ -43,7 +43,8 @@ def diagnose(
         if not isinstance(detector, str | registry.NamedDetector) and not callable(detector):
             raise ValueError(
                 f"the first argument is of type {type(detector).__name__}; expected a detector or its name: "
-                "diagnose('kf-chi2', t, y, u, plant=plant)"
+                "diagnose('kf-chi2', t, y, u, plant=plant); a class of your own derives from BatchDetector, or from "
+                "fusion_sfdia.core.detector.Claims"
             )
         if plant is None:
             name = registry.find_detector(detector).name
@@ -60,10 +61,12 @@ def diagnose(
     one = data[0] if len(data) == 1 else None
     if isinstance(one, str | Path) or is_frame(one):
         one = load_log(one, detector.plant, log_map)
+        for remark in one.brief:
+            warnings.warn(remark, stacklevel=2)
     elif log_map is not None:
         raise ValueError("log_map states how a file or a frame is written; expected one of them, or no log_map")
     loaded = one if isinstance(one, LoadedLog) else LoadedLog(one_run(as_log(detector.plant, *data)), SECONDS, ())
-    return prepared(detector, loaded, build).diagnose(gap=gap)
+    return prepared(detector, loaded, build).diagnose(gap=gap)[0]
 
 
 def fit(name: str, plant: Plant | str, healthy: Any = None, false_alarm: float = FALSE_ALARM, **unknown: Any) -> Detector:
@@ -83,6 +86,4 @@ def fit(name: str, plant: Plant | str, healthy: Any = None, false_alarm: float =
     if named.learns:
         return named.build(plant, healthy=healthy, false_alarm=false_alarm)
     detector = registry.detector(named, plant)
-    if not isinstance(detector, BatchDetector):
-        raise ValueError(f"detector {named.name} has no fit_thresholds and does not learn; build it and set its thresholds")
     return detector.fit_thresholds(healthy_data(plant, false_alarm) if healthy is None else healthy, false_alarm)

@@ -72,7 +72,13 @@ def sensor_rows(found: dict[str, Arrays], duration: float) -> list[Row]:
             if n == "M(2,3)":
                 rows.append(at_n("identification_time", median(a["settled"][:, i]), stated(IDENTIFIED[n], duration)))
             if n == "M(3,1)" and "learning_rates" in VARIANTS[kind]:
-                rows.append(at_n("identification_time", mean(a["rise"][:, i]), stated(IDENTIFIED[n], duration)))
+                rows.append(
+                    at_n(
+                        "identification_time",
+                        median(np.where(np.isnan(a["rise"][:, i]), np.inf, a["rise"][:, i])),
+                        stated(IDENTIFIED[n], duration),
+                    )
+                )
     modules = engine(0.03, "K22").structure.modules
     assert modules is not None
     for (variable, gain), rate in zip(K22_GAINS.items(), modules.rates, strict=True):

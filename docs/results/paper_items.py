@@ -59,6 +59,8 @@ def load(folder: Path = ITEMS) -> list[Paper]:
     found = {}
     for path in sorted(folder.glob("*.toml")):
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
+        if raw["paper"] not in PAPERS:
+            raise ValueError(f"{path.name}: paper {raw['paper']!r} is unknown; expected one of {', '.join(PAPERS)}")
         found[raw["paper"]] = Paper(raw["paper"], raw["title"], raw["equations"], [Item(**one) for one in raw["item"]])
     return [found[key] for key in PAPERS]
 

@@ -110,7 +110,7 @@ class AdaptiveThreshold(BatchDetector):
     @property
     def claimed_rate(self) -> float:
         """0 at a steady load with thresholds that bounded noise cannot cross: without published bounds and margins."""
-        if self.fitted_rate is not None or self.observer_bounds or self.margins:
+        if self.fitted_rate is not None or self.observer_bounds or self.margins or self.threshold_scale < 1:
             return super().claimed_rate
         return without_false_alarms(self.plant)
 

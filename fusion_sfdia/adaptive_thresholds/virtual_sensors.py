@@ -97,7 +97,9 @@ class VirtualSensors(BatchDetector):
     @property
     def claimed_rate(self) -> float:
         """0 with thresholds that bounded noise cannot cross."""
-        return without_false_alarms(self.plant) if self.fitted_rate is None else super().claimed_rate
+        if self.fitted_rate is not None or self.threshold_scale < 1:
+            return super().claimed_rate
+        return without_false_alarms(self.plant)
 
     def fault_interval(self, state: State) -> Interval:
         """Return the intervals (*batch, N) of the sensors' constant offsets in sensor units, after the step that returned

@@ -197,7 +197,6 @@ def _diagnose(chosen: argparse.Namespace) -> int:
         return _by_monitor(chosen)
     from fusion_sfdia.cli.tune import diagnosing_detector
     from fusion_sfdia.core.files import locked
-    from fusion_sfdia.core.verdicts import Verdict
     from fusion_sfdia.logs.check import check_log
     from fusion_sfdia.registry import detector
     from fusion_sfdia.report.document import as_json
@@ -212,8 +211,7 @@ def _diagnose(chosen: argparse.Namespace) -> int:
         anew = partial(detector, name) if chosen.tuned is None and chosen.healthy is None else None
         suffix = f".{chosen.tables}"
         found = diagnose_log(chosen.data, built, out, read=read, held=True, detector_name=name, build=anew, suffix=suffix)
-    failed = bool(found.decisions.diverged.any() or found.state is Verdict.BLIND or read.misread)
-    code = exit_code(chosen, found, failed=failed)
+    code = exit_code(chosen, found, read)
     shown_in = LogUnits(built.plant, read.columns)
     if chosen.json:
         print(as_json(found, shown_in, read, About(chosen.data.name, name)))

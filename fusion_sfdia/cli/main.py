@@ -125,8 +125,11 @@ def _collect_less() -> None:
 def _done(chosen: argparse.Namespace) -> int:
     """The exit code of a command; errors that a user can act on are a line on standard error, unless a signal caused them."""
     try:
-        with _silent(chosen) if getattr(chosen, "quiet", False) else nullcontext():
+        quiet = getattr(chosen, "quiet", False)
+        with _silent(chosen) if quiet else nullcontext():
             code: int = chosen.work(chosen)
+        if quiet and code == 1:
+            print("fusion-sfdia: the log could not be judged, or is misread: repeat without --quiet", file=sys.stderr)
         sys.stdout.flush()
         return code
     except BrokenPipeError:  # the reader of the output has closed it

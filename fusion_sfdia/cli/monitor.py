@@ -103,11 +103,12 @@ def monitored(chosen: argparse.Namespace, out: Path, learnt: Any, say: Any) -> i
     from fusion_sfdia.core.plain_text import plain
     from fusion_sfdia.report.document import as_json
     from fusion_sfdia.report.log_page import About
-    from fusion_sfdia.report.log_report import OF_BEFORE, OWN_FILE, files, write_diagnosis
+    from fusion_sfdia.report.log_report import OF_BEFORE, OWN_FILE, files, require_apart, write_diagnosis
     from fusion_sfdia.report.log_units import LogUnits
     from fusion_sfdia.report.progress import working
 
     suffix = f".{chosen.tables}"
+    require_apart(chosen.data, out)
     with locked(out, force=chosen.force):
         monitor = learnt()
         data = monitor.read(chosen.data, chosen.map, absent_sensors=chosen.absent_sensors)
@@ -122,4 +123,4 @@ def monitored(chosen: argparse.Namespace, out: Path, learnt: Any, say: Any) -> i
     say(f"{found}\n{', '.join((OWN_FILE, *files(suffix)))}: in {out}")
     if chosen.json:
         print(as_json(found, LogUnits(monitor.plant, data.columns), data, about))
-    return exit_code(chosen, found, failed=data.misread)
+    return exit_code(chosen, found, data)

@@ -109,19 +109,21 @@ def add_tables(one: Any) -> None:
     )
 
 
-def exit_code(chosen: argparse.Namespace, found: Diagnosis, *, failed: bool) -> int:
-    """The exit code of a diagnosis: 1 where it failed, 3 where what --fail-on names was found, else 0."""
+def exit_code(chosen: argparse.Namespace, found: Diagnosis, read: LoadedLog) -> int:
+    """The exit code of a diagnosis: 1 where the log could not be judged or was misread, 3 where what --fail-on names was found,
+    whatever else is undecided, else 0.
+    """
     from fusion_sfdia.core.verdicts import Verdict
     from fusion_sfdia.evaluation.events import EVEN
 
-    state = found.state
-    named = state in (Verdict.SENSOR, Verdict.PROCESS)
+    state, likely = found.state, {e.kind for e in found.events if not e.confidence < EVEN}
     holds = {
         None: False,
-        "fault": named and any(e.kind == "sensor" and not e.confidence < EVEN for e in found.events),
-        "process": named,
+        "fault": "sensor" in likely,
+        "process": bool(likely & {"sensor", "other", "process"}),
         "suspect": state is not Verdict.HEALTHY or bool(found.health and found.health.suspect),
     }
+    failed = read.misread or state is Verdict.BLIND or bool(found.decisions.diverged.any())
     return 1 if failed else FOUND * holds[chosen.fail_on]
 
 

@@ -27,6 +27,8 @@ def diagnose_units(chosen: argparse.Namespace) -> int:
         raise ValueError(
             f"{', '.join(given)} and --units: each unit is learnt from its own log; state its healthy part by --learn"
         )
+    if chosen.tables != "csv":
+        raise ValueError(f"--tables and --units: {TABLE} and {PAGE} are all that is written; leave --tables out")
     if chosen.fail_on:
         raise ValueError(f"--fail-on and --units: {TABLE} has the state of each unit; leave --fail-on out")
     paths = _paths(chosen.units)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,6 +116,24 @@ class Decision:
         return np.asarray((self.score > 1) | self.isolated.any(axis=-1))
 
 
+if TYPE_CHECKING:
+    Default = property
+else:
+
+    class Default:
+        """A property that a class or an object may replace by a field or an attribute of that name."""
+
+        def __init__(self, of: Callable[[Any], Any]) -> None:
+            self.of, self.__doc__ = of, of.__doc__
+
+        def __get__(self, found: Any, kind: Any = None) -> Any:
+            if found is None:
+                raise AttributeError(
+                    "of objects only"
+                )  # so that a dataclass takes a field of that name for one without a default
+            return self.of(found)
+
+
 class Claims(Protocol):
     """What a detector states of itself beside its decisions. Each has a default, which a class inherits from this one.
 
@@ -125,46 +143,51 @@ class Claims(Protocol):
     thresholds are designed, fitted_rate that for which they were fitted to healthy readings, None where there is none.
     claimed_rate: alarms per step over all sensors without a fault that it claims at most, NaN where it claims nothing.
     steps: as `step` for each of t (K,), y (K, N), u (K, m) of one run, with the same bits, where there is a faster way; else
-    None. watching: itself without accommodation, where it has any, so that readings are not replaced.
+    None. watching: itself without accommodation, where it has any, so that readings are not replaced. fit_thresholds: itself
+    with thresholds for that rate from healthy readings.
     """
 
-    @property
+    @Default
     def process_hypotheses(self) -> tuple[ProcessHypothesis, ...]:
         return ()
 
-    @property
+    @Default
     def filter_model(self) -> Plant | None:
         return None
 
-    @property
+    @Default
     def most_faults(self) -> float:
         return np.inf
 
     def why_no_more(self) -> str:
         return f"the method of {type(self).__name__} names no more"
 
-    @property
+    @Default
     def threshold_scale(self) -> float:
         return 1.0
 
-    @property
+    @Default
     def false_alarm(self) -> float | None:
         return None
 
-    @property
+    @Default
     def fitted_rate(self) -> float | None:
         return None
 
-    @property
+    @Default
     def claimed_rate(self) -> float:
-        stated = self.false_alarm if self.fitted_rate is None else self.fitted_rate
-        return np.nan if stated is None else float(stated)
+        if self.fitted_rate is not None:
+            return float(self.fitted_rate)
+        return np.nan if self.false_alarm is None or self.threshold_scale < 1 else float(self.false_alarm)
 
     def steps(self, state: State, t: Array, y: Array, u: Array) -> tuple[State, Decision] | None:
         return None
 
     def watching(self) -> Self:
         return self
+
+    def fit_thresholds(self, healthy: Any, false_alarm: float = 1e-3) -> Self:
+        raise ValueError(f"{type(self).__name__} has no thresholds to fit to healthy readings; set them where it is built")
 
 
 @runtime_checkable

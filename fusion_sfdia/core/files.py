@@ -252,7 +252,7 @@ def all_or_none(out: Path, *, instead_of: Iterable[str] = ()) -> Iterator[Path]:
     """Yield a folder whose files move into `out` when the block ends without an error; otherwise `out` does not change.
 
     Files of the same names are replaced, one at a time; if one fails, those before are restored. Others stay, but for files
-    of these names, instead_of, which an earlier run has left.
+    of these names, instead_of, which an earlier run has left: they are removed, and restored likewise.
     """
     near = next(p for p in (out, *out.parents) if p.exists())  # on the same disk
     with _held_temporary(near, lambda path: path.mkdir(0o700)) as temporary:
@@ -269,12 +269,16 @@ def all_or_none(out: Path, *, instead_of: Iterable[str] = ()) -> Iterator[Path]:
             with (new / name).open("rb+") as file:
                 _sync(file)
         present = [name for name in names if (out / name).exists()]
-        for name in present:
+        former = [name for name in {Path(name) for name in instead_of} - {*names} if (out / name).is_file()]
+        for name in (*present, *former):
             (old / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(out / name, old / name)
         with made_folder(out):
-            moved = []
+            moved, removed = [], []
             try:
+                for name in former:
+                    (out / name).unlink()
+                    removed.append(name)
                 for name in names:
                     (out / name).parent.mkdir(parents=True, exist_ok=True)
                     os.replace(new / name, out / name)
@@ -282,8 +286,8 @@ def all_or_none(out: Path, *, instead_of: Iterable[str] = ()) -> Iterator[Path]:
             except BaseException:
                 for name in moved:
                     os.replace(old / name, out / name) if name in present else (out / name).unlink()
+                for name in removed:
+                    os.replace(old / name, out / name)
                 raise
-            for former in {Path(name) for name in instead_of} - {*names}:
-                (out / former).unlink(missing_ok=True)
             for folder in {out / name.parent for name in names}:
                 _sync_folder(folder)

@@ -85,7 +85,12 @@ def as_pandas(frame: Any) -> Any:
         return frame
     import pandas
 
-    return pandas.DataFrame.from_arrow(frame)
+    try:
+        return pandas.DataFrame.from_arrow(frame)
+    except ImportError as error:
+        from fusion_sfdia.core.detector import MissingPackageError
+
+        raise MissingPackageError("a frame of Polars or Arrow needs pyarrow: install fusion-sfdia[parquet]") from error
 
 
 def one_run(log: Log) -> Log:

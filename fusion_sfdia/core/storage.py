@@ -66,7 +66,8 @@ def require_detector(detector: Any) -> None:
     """Raise ValueError for anything but a Detector object, such as its name or its class."""
     if isinstance(detector, type) or not isinstance(detector, Detector):
         raise ValueError(
-            f"detector is {shown(detector)}; expected a Detector, such as registry.detector('kf-chi2', plant) returns it"
+            f"detector is {shown(detector)}; expected a Detector, such as registry.detector('kf-chi2', plant) returns it; a "
+            "class of your own derives from BatchDetector, or from fusion_sfdia.core.detector.Claims"
         )
 
 

@@ -365,10 +365,11 @@ def _warn(
                 f"no row for {g.end - g.start:g} s before {clock.at(g.end)}, {g.steps:.4g} steps of the model: the estimate "
                 "starts anew from the initial state; check that times are in seconds"
             )
-    silent = [s.name for s, none in zip(detector.plant.sensors, np.all(np.isnan(y), axis=0), strict=True) if none]
-    if silent and not {*silent} <= {*unread}:
+    none = np.all(np.isnan(y), axis=0)
+    silent = [name for name, empty in zip(detector.plant.sensor_names, none, strict=True) if empty and name not in unread]
+    if silent:
         some = ", ".join(silent[:8]) + (f" and {len(silent) - 8} more" if len(silent) > 8 else "")
-        whole = ": the diagnosis is only the model's prediction" if len(silent) == y.shape[1] else ""
+        whole = ": the diagnosis is only the model's prediction" if none.all() else ""
         remarks.append(f"no readings of {some}{whole}; fill their columns to have them tested")
     known = np.isfinite(decisions.residual)
     if known.any() and np.all(np.isinf(decisions.threshold), where=known):
@@ -390,7 +391,7 @@ def _warn(
         most, of = detector.most_faults, len(detector.plant.sensors)
         remarks.append(
             f"more sensors would be isolated in {np.sum(decisions.capped)} of {t.size} samples, first at "
-            f"{first(decisions.capped)}, but {most} of {of} are excluded already, all that the detector "
+            f"{first(decisions.capped)}, but {most:g} of {of} are excluded already, all that the detector "
             f"allows ({detector.why_no_more()}): check the model, or pass max_faults"
         )
     for flags, what, cure in (

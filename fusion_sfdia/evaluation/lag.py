@@ -48,9 +48,11 @@ class Lag(NamedTuple):
         return f"{plant.sensor_names[self.sensor]} is late by {rows} row{'s' * (rows != 1)} ({step:.6g} s)"
 
 
-def explained_by_lag(detector: Detector, log: Log, found: Diagnosis, again: Callable[[Log], Diagnosis]) -> Diagnosis:
+def explained_by_lag(
+    detector: Detector, log: Log, found: Diagnosis, again: Callable[[Log], Diagnosis]
+) -> tuple[Diagnosis, Log]:
     """The diagnosis of a log of one run, or, where late sensors explain most of its isolations, that of the log with their
-    readings moved to when they were true, which states so. again: diagnoses a log.
+    readings moved to when they were true, which states so; and the log that it is of. again: diagnoses a log.
     """
     stated, suspects, texts = found.of_log, found.suspects, list[str]()
     while found.events and (late := latest(detector, log, found)) is not None and len(texts) < MOST:
@@ -68,7 +70,7 @@ def explained_by_lag(detector: Detector, log: Log, found: Diagnosis, again: Call
             "add the delay to the model"
         )
         log, found = moved, replace(result, of_log=(*stated, *texts), suspects=suspects)
-    return found
+    return found, log
 
 
 def earlier(log: Log, i: int, rows: int) -> Log:

@@ -37,9 +37,9 @@ class Prepared(NamedTuple):
     suspects: tuple[str, ...]
     of_log: tuple[str, ...]
 
-    def diagnose(self, *, gap: int = 3, each: Callable[[Sequence[int]], Iterable[int]] = iter) -> Diagnosis:
-        """The events, see `diagnose_run`, with late sensors explained, see `explained_by_lag`. ValueError, DiagnosisWarning: as
-        `diagnose_run`.
+    def diagnose(self, *, gap: int = 3, each: Callable[[Sequence[int]], Iterable[int]] = iter) -> tuple[Diagnosis, Log]:
+        """The Diagnosis, see `diagnose_run`, with late sensors explained, and the log that it is of, see `explained_by_lag`.
+        ValueError, DiagnosisWarning: as of `diagnose_run`.
         """
         again = partial(diagnose_run, self.detector, gap=gap, clock=self.clock, each=each, unread=self.unread)
         first = replace(again(self.log), of_log=self.of_log, suspects=self.suspects)
@@ -47,9 +47,9 @@ class Prepared(NamedTuple):
 
 
 def prepared(detector: Detector, loaded: LoadedLog, build: Callable[[Plant], Detector] | None = None) -> Prepared:
-    """What of a log is judged and by what: the log is checked, unless it has been, see `checked`; sensors of a suspected unit
-    and readings that only repeat the one before are missing in it, and the detector has the noise and the periods of coarse
-    and of cyclic sensors.
+    """The log as it is judged, and the detector that judges it. The log is checked, unless it has been, see `checked`; sensors
+    of a suspected unit and readings that only repeat the one before are missing in it, and the detector has the noise and the
+    periods of coarse and of cyclic sensors.
 
     build: makes the detector for a plant, where it was not fitted to readings; None where only it itself can be adapted.
     ValueError for a log of other sensors or inputs than the plant has.

@@ -42,7 +42,7 @@ def quality_flags(plant: Plant, y: Array, found: Diagnosis) -> NDArray[np.int8]:
         rows = slice(np.searchsorted(found.t, e.start), np.searchsorted(found.t, e.end, side="right"))
         perhaps = e.suspects if isinstance(e, UndecidedEvent) else (e.hypothesis,) if e.confidence < EVEN else ()
         for i in (names.index(name) for name in perhaps if name in names):
-            flags[rows, i] = SUSPECT
+            flags[rows, i], failed[rows, i] = SUSPECT, False
         if e.kind == "sensor" and not e.confidence < EVEN and e.hypothesis in names:
             failed[rows, names.index(e.hypothesis)] = True
     flags[failed] = FAIL

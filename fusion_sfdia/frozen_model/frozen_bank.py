@@ -145,6 +145,10 @@ class FrozenBank(BatchDetector):
     def filter_model(self) -> Plant:
         return self.model
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Without the plant as commissioned, whose functions cannot be pickled; it is made again when it is needed."""
+        return {name: value for name, value in vars(self).items() if name != "model"}
+
     @cached_property
     def model(self) -> Plant:
         """The plant as it was commissioned: at its values, with what its equations miss added to the readings."""

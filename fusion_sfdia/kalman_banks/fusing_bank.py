@@ -10,7 +10,8 @@ Federated, sum P_i^-1 = P_m^-1: information is shared out and none invented, and
 since then Q_m = Q / N; for equal beta that is Q. As printed the sum is N^2 P_m^-1 for beta = 1/N in each step, and Q falls as
 N^(-2k), so that the gain vanishes; with "printed" P is as printed and Q is reset in each step. Federated with equal beta and
 one kind of filter, x_m and N P_m are the mean and covariance of one filter with the noise R N / (N - 1), as each reading enters
-N - 1 of them.
+N - 1 of them. All filters begin with the plant's initial covariance, and with unequal beta the NIS is that of the first
+filter's prior, not of the mixture's.
 
 Two more changes: the ensemble uses S = H P H' + R, and its feedback, which the paper does not specify, gives the local
 ensembles the mean and covariance of the mixture: one update with R N / (N - 1) of all, its spread scaled, for equal beta.

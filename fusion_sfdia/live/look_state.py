@@ -47,8 +47,8 @@ def look_arrays(look: SecondLook) -> dict[str, Array]:
 
 
 def restored_look(fresh: SecondLook, saved: SavedArrays, decisions: Sequence[Decision]) -> SecondLook:
-    """The same of which `look_arrays` are, with what of it is not saved; decisions: of the last samples. ValueError for arrays
-    that it did not give.
+    """The look whose `look_arrays` were saved. fresh: one of the same detector, for what is not saved; decisions: of the last
+    samples. ValueError for arrays that `look_arrays` did not give.
     """
     detector = fresh.detector
     n, m = len(detector.plant.sensors), len(detector.plant.inputs)

@@ -167,7 +167,7 @@ class SecondLook:
         return found, health
 
     def final(self, clock: Clock, next_id: int) -> tuple[list[tuple[int, Event]], str]:
-        """What would be reported if no row came any more; changes nothing."""
+        """What would be reported if no row came any more. The rows stay as they are; a late sensor is said once."""
         if not self.count:
             return [], ""
         end = replace(

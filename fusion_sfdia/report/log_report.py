@@ -18,6 +18,7 @@ from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.files import all_or_none, atomic_write, locked
 from fusion_sfdia.core.plain_text import cell, plain
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.storage import require_detector
 from fusion_sfdia.core.verdicts import Verdict
 from fusion_sfdia.evaluation.diagnose import Diagnosis, present
 from fusion_sfdia.evaluation.events import ProcessEvent, open_questions
@@ -31,7 +32,7 @@ from fusion_sfdia.report.log_page import About, write_page
 from fusion_sfdia.report.log_units import LogUnits
 from fusion_sfdia.report.plots import panels, time_series
 from fusion_sfdia.report.progress import progress
-from fusion_sfdia.report.tables import SUFFIXES, reconstructed, scores, write_rows
+from fusion_sfdia.report.tables import SUFFIXES, reconstructed, require_tables, scores, write_rows
 
 FILES = ("report.html", "events.csv", "reconstructed.csv", "scores.csv", "diagnosis.svg", "diagnosis.png")
 OWN_FILE = "monitor.txt"  # beside them, of a monitor
@@ -69,6 +70,9 @@ def diagnose_log(
     Raises ValueError naming the file where the log does not fit (see load_log), and where the folder is not free or another
     process writes into it; warns of what reading the log found, and as `diagnose_run` does.
     """
+    require_detector(detector)
+    require_apart(data, out)
+    require_tables(suffix)
     plant = detector.plant
     given = {"absent_sensors": absent_sensors, "other_columns": other_columns, "nominal_inputs": nominal_inputs}
     with nullcontext() if held else locked(out, force=force):
@@ -77,13 +81,19 @@ def diagnose_log(
             warnings.warn(f"{data}: {remark}", stacklevel=2)
         judged = prepared(detector, loaded, build)
         try:
-            found = judged.diagnose(each=progress)
+            found, log = judged.diagnose(each=progress)
         except ValueError as error:
             raise ValueError(f"{data}: {error}") from error
         with all_or_none(out, instead_of=OF_BEFORE) as new:
             about = About(data.name, detector_name or type(detector).__name__)
-            write_diagnosis(new, plant, judged.log.y, judged.log.u, found, about, LogUnits(plant, loaded.columns), suffix)
+            write_diagnosis(new, plant, log.y, log.u, found, about, LogUnits(plant, loaded.columns), suffix)
     return found
+
+
+def require_apart(data: Path, out: Path) -> None:
+    """Raise ValueError for a log that is one of the files which a diagnosis writes or removes in its folder."""
+    if data.resolve() in {(out / name).resolve() for name in OF_BEFORE}:
+        raise ValueError(f"{data} is among the files that a diagnosis writes into {out}; name another folder by --out")
 
 
 def files(suffix: str) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -104,6 +105,15 @@ def write_rows(path: Path, count: int, table: RowTable) -> None:
         raise MissingPackageError(
             f"{path.name} needs a package that is not installed: install fusion-sfdia[{EXTRA[path.suffix]}], or write .csv"
         ) from error
+
+
+def require_tables(suffix: str) -> None:
+    """Raise MissingPackageError where the package that writes such files is not installed."""
+    needed = {".xlsx": "openpyxl", ".parquet": "pyarrow"}
+    if suffix in needed and find_spec(needed[suffix]) is None:
+        raise MissingPackageError(
+            f"tables as {suffix} need {needed[suffix]}: install fusion-sfdia[{EXTRA[suffix]}], or write csv"
+        )
 
 
 def _cells(block: Any) -> list[str]:

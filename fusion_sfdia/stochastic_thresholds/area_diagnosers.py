@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.core.batch_detector import TimeStep
-from fusion_sfdia.core.covariance import diagonal
+from fusion_sfdia.core.covariance import dense, diagonal
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, Prediction, initial_state, predict, take
 from fusion_sfdia.stochastic_thresholds.consensus_equations import UNKNOWN
@@ -44,6 +44,10 @@ class AreaDiagnosers:
                 f"{len(state_names)} states and {2 * count} inputs, references then loads; give the areas of this plant"
             )
         own, shared = self._of_areas(np.ones(len(plant.sensors)), 0.0)
+        if np.any(np.isposinf(self.areas.noise) & (own > 0)):
+            raise ValueError(
+                f"plant {plant.name!r} has sensors of states whose noise is inf in its areas; give the variance of each sensor"
+            )
         if not (np.all(own) and np.all(shared)):
             noise = np.where(own > 0, self.areas.noise, np.inf)
             shared_noise = np.where(shared > 0, self.areas.shared_noise, np.inf)
@@ -75,7 +79,8 @@ class AreaDiagnosers:
         some = np.any(self.areas.unread, axis=1)
         if np.any(some):
             now.error_bound[..., some, :] = 0.0
-            now.covariance[..., some, :, :] = (sigma**2)[some, :, None] * np.eye(n)
+            of_areas = dense(self.plant.initial_cov).reshape(count, n, count, n)
+            now.covariance[..., some, :, :] = np.einsum("iaib->iab", of_areas)[some]
         now.held_shared[...], now.error_bound_shared[...] = x0[neighbour, 0], np.where(closed, sigma[neighbour, 0], UNKNOWN)
         return now
 

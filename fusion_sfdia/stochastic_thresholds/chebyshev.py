@@ -32,6 +32,7 @@ from fusion_sfdia.stochastic_thresholds.present_readings import Diagnoser, Predi
 from fusion_sfdia.stochastic_thresholds.threshold_rules import (
     BOUND,
     CONFORMAL,
+    RULES,
     alpha_for,
     conformal_alpha,
     require_alpha,
@@ -122,7 +123,10 @@ class Chebyshev(BatchDetector):
         _, decisions = run(plain, plain.init(y.shape[1:-1], float(t[0]) - self.plant.dt), t, y, u)
         scores = np.where(np.isfinite(decisions.residual), decisions.scores, np.nan)[warm_up:].reshape(-1, y.shape[-1])
         alpha = [conformal_alpha(scores[:, i], false_alarm / c) for i, c in enumerate(self.components)]
-        return replace(self, rule=CONFORMAL, alpha=tuple(float(a) for a in alpha), false_alarm=None, threshold_scale=1.0)
+        return replace(
+            self, rule=CONFORMAL, alpha=tuple(float(a) for a in alpha), false_alarm=None, threshold_scale=1.0,
+            fitted_rate=false_alarm * self.diagnosers,
+        )  # fmt: skip
 
     @cached_property
     def diagnoser(self) -> Diagnoser:
@@ -139,15 +143,24 @@ class Chebyshev(BatchDetector):
         owners = [s.owner if self.plant.structure.areas is not None else "" for s in self.plant.sensors]
         return np.array([owners.count(owner) for owner in owners])
 
+    @cached_property
+    def diagnosers(self) -> int:
+        """Their number: one for each area, or one for the plant."""
+        return round(float(np.sum(1 / self.components)))
+
     @property
     def claimed_rate(self) -> float:
-        """By Chebyshev's inequality for each sensor; 0 with thresholds that bounded noise cannot cross."""
-        if self.fitted_rate is not None or self.false_alarm is not None:
+        """The sum of what the rule states for each sensor at its limit; 0 with thresholds that bounded noise cannot cross, of a
+        linear plant with a bound of its process noise.
+        """
+        if self.rule == CONFORMAL:
             return super().claimed_rate
-        if self.alpha is not None:
-            bound = float(np.sum(self.alphas**-2.0))
-            return bound if bound < 1 else np.nan
-        return without_false_alarms(self.plant) if self.rule == BOUND else np.nan
+        if self.rule == BOUND:
+            bounded = self.plant.process_bound is not None and all(self.plant.linear) and np.all(self.limits >= 1)
+            return without_false_alarms(self.plant) if bounded else np.nan
+        stated = RULES[self.rule]
+        bound = float(np.sum(stated.false_alarm(self.limits))) if np.all(self.limits > stated.least) else np.nan
+        return bound if bound < 1 else np.nan
 
     @cached_property
     def alphas(self) -> Array:

@@ -196,8 +196,9 @@ class FaultHypotheses:
         process, row, lam = self.areas.process_variance[i], self.areas.matrices[i], self.lam
         read = equations.noise_read(noise, state.error_bound)
         x, u = state.held[..., :n], reference[:, i, None]
-        largest = np.max(self.areas.noise[i])
-        phi = effects(self.faults, x, u, e, np.sqrt(np.append(self.areas.noise[i], largest)))
+        width = np.sqrt(np.append(self.areas.noise[i], noise_there @ slope**2 or np.max(self.areas.noise[i])))
+        spread = np.concatenate([read[..., :n], np.broadcast_to(e_variance, (*read.shape[:-1], 1))], axis=-1)
+        phi = effects(self.faults, x, u, e, width, spread)
         M, g = row[:, :n] + phi.slopes[..., :n], row[:, n + 1] + phi.slopes[..., n]
         value = x @ row[:, :n].T + row[:, n] * u[..., None] + row[:, n + 1] * e[..., None] + phi.mean
         a = M[..., :1, 0].copy()

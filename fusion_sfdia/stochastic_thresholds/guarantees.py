@@ -203,6 +203,9 @@ def _residuals(detector: Chebyshev, log: Log) -> tuple[Array, Array]:
 
 def _false_alarm(detector: Chebyshev) -> float:
     """The probability that noise exceeds alpha s of a single residual."""
-    if detector.rule in (BOUND, CONFORMAL):
-        return 0.0 if detector.rule == BOUND else float(detector.fitted_rate or 0.0)
+    if detector.rule == BOUND:
+        return 0.0 if np.all(detector.limits >= 1) else np.nan
+    if detector.rule == CONFORMAL:  # of a diagnoser, shared equally by its sensors
+        rate = np.nan if detector.fitted_rate is None else detector.fitted_rate
+        return float(rate / detector.diagnosers / np.min(detector.components))
     return float(np.max(RULES[detector.rule].false_alarm(np.maximum(detector.limits, RULES[detector.rule].least + 1e-12))))

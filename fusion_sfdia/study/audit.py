@@ -119,7 +119,7 @@ def judged_trial(
     events: tuple[Event, ...] = ()
     if np.any(isolated) or np.any(named):
         found = concluded(detector, log, track, gaps, decisions)
-        events = explained_by_lag(detector, log, found, partial(diagnose_run, detector)).events
+        events = explained_by_lag(detector, log, found, partial(diagnose_run, detector))[0].events
 
     def faulty_between(start: float, end: float) -> set[str]:
         fails = np.any(faulty[(log.t >= start) & (log.t <= end)], axis=0)

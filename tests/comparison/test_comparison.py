@@ -630,9 +630,10 @@ def test_an_error_while_readings_are_judged_is_no_refusal(monkeypatch: pytest.Mo
 
 
 def test_every_detector_has_a_look_of_its_own() -> None:
-    found = looks(DETECTORS)
-    assert len({(look["color"], look["linestyle"]) for look in found.values()}) == len(DETECTORS)
-    assert len({(look["color"], look["marker"]) for look in found.values()}) == len(DETECTORS)
+    compared = list(registry.compared_detectors())
+    found = looks(compared)
+    assert len({(look["color"], look["linestyle"]) for look in found.values()}) == len(compared)
+    assert len({(look["color"], look["marker"]) for look in found.values()}) == len(compared)
 
 
 def test_memory_of_a_step_is_what_it_holds_at_most_and_that_of_a_state_its_arrays() -> None:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from toy_plants import chain
 
 from fusion_sfdia import CentralFilter, LeaveOneOutBank, Plant, registry, two_tanks
+from fusion_sfdia.core.detector import Claims
 from fusion_sfdia.core.references import load
 
 pytestmark = pytest.mark.usefixtures("registrations")
@@ -155,3 +158,18 @@ def test_what_is_no_plant_is_refused(what: Any, message: str) -> None:
 def test_what_is_no_detector_is_refused(what: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         registry.detector(what, two_tanks())
+
+
+def test_what_a_detector_claims_may_be_a_field_or_an_attribute() -> None:
+    @dataclass(frozen=True)
+    class Stated(Claims):
+        false_alarm: float
+
+    class Set(Claims):
+        def __init__(self) -> None:
+            self.most_faults = 1
+
+    assert Stated(0.1).claimed_rate == 0.1 and Stated(0.1).most_faults == np.inf
+    assert Set().most_faults == 1 and np.isnan(Set().claimed_rate)
+    with pytest.raises(TypeError, match="missing 1 required positional argument: 'false_alarm'"):
+        Stated()  # type: ignore[call-arg]

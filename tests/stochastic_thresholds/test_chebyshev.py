@@ -296,3 +296,15 @@ def test_areas_must_be_those_of_the_plant() -> None:
         Chebyshev(replace(network(), sensors=sensors))
     with pytest.raises(ValueError, match="whole number of at least 2"):
         MonteCarlo(draws=1)
+
+
+def test_the_rate_that_is_claimed_is_of_all_sensors_and_of_the_limits_as_they_are_scaled() -> None:
+    plant = tanks()
+    count, healthy = len(plant.sensors), simulate(plant, 400, range(5), truth="model")
+    assert Chebyshev(plant, alpha=10.0).claimed_rate == pytest.approx(count / 10**2)
+    assert Chebyshev(plant, alpha=10.0, threshold_scale=0.5).claimed_rate == pytest.approx(count / 5**2)
+    assert np.isnan(Chebyshev(plant, alpha=1.5).claimed_rate)  # the bound is above 1
+    assert Chebyshev(plant, false_alarm=0.01).claimed_rate == pytest.approx(0.01)
+    assert Chebyshev(plant).fit_thresholds(healthy, 0.05).claimed_rate == pytest.approx(0.05)
+    areas = power_network()
+    assert Chebyshev(areas, false_alarm=0.01).claimed_rate == pytest.approx(15 * 0.01)  # of each of 15 diagnosers

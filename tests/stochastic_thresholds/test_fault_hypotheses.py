@@ -141,13 +141,33 @@ def test_moments_of_quadratic_fault_functions_are_exact() -> None:
         return np.stack([value, 0 * u, 2 * value, 0 * u], axis=-1)
 
     z = rng.standard_normal((3, 5))
-    found = effects({"quadratic": phi}, z[:, None, :4], np.zeros((3, 1)), z[:, 4:], sigma)
+    found = effects({"quadratic": phi}, z[:, None, :4], np.zeros((3, 1)), z[:, 4:], np.ones(5), np.tile(sigma**2, (3, 1, 1)))
     mean = z @ b + np.einsum("bi,ij,bj->b", z, A, z) / 2 - np.trace(A @ V) / 2
     # second differences over sigma of values up to some 100
     np.testing.assert_allclose(found.mean[:, 0], np.stack([mean, 0 * mean, 2 * mean, 0 * mean], axis=-1), atol=1e-12)
     np.testing.assert_allclose(found.slopes[:, 0, 0], b + z @ A, atol=1e-12)
     beyond = np.trace(A @ V @ A @ V) / 2
     np.testing.assert_allclose(found.curvature[:, 0], np.tile([beyond, 0.0, 4 * beyond, 0.0], (3, 1)), rtol=1e-12, atol=1e-12)
+
+
+def test_a_fault_function_curved_in_what_crosses_the_border_counts_the_noise_of_all_ties() -> None:
+    """phi = c e^2 with e = sum_j P_ij z_j - d: its mean is less by c Var e, and 2 c^2 Var[e]^2 is in the variance."""
+    c = 50.0
+
+    def curved(x: Array, u: Array, e: Array) -> Array:
+        return np.stack([0 * u, 0 * u, c * e**2, 0 * u], axis=-1)
+
+    observer = FaultHypotheses(AREAS, "4", {"none": nothing, "curved": curved}, lam=LAM)
+    start, reference, load = anything(5)
+    begun = observer.begin(observer.idle(5), np.ones(5, bool), start)
+    estimate, deviation, _ = observer._predict(begun, start, reference, load)
+    sides = observer._sides
+    slope = np.where(AREAS.network.closed[sides], AREAS.slope[sides], 0.0)
+    v = np.where(start.error_bound_shared[:, sides] == 0, AREAS.shared_noise[sides], 0.0) @ slope**2
+    e, row = start.held_shared[:, sides] @ slope - load[:, AREA], AREAS.matrices[AREA, 2]
+    np.testing.assert_allclose(estimate[:, 1, 2] - estimate[:, 0, 2], c * (e**2 - v), rtol=1e-9, atol=1e-11)
+    more = ((row[5] + 2 * c * e) ** 2 - row[5] ** 2) * v + 2 * c**2 * v**2
+    np.testing.assert_allclose(deviation[:, 1, 2] ** 2 - deviation[:, 0, 2] ** 2, more, rtol=1e-8, atol=1e-12)
 
 
 @pytest.mark.parametrize("away", [0.0, 1.5, 3.0])

@@ -89,7 +89,8 @@ def test_the_least_time_is_that_of_arithmetic_or_of_the_state() -> None:
 @pytest.mark.slow
 def test_no_step_takes_less_than_its_least_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry, "plants", lambda: ("two-tanks",))
-    monkeypatch.setattr(registry, "detectors", lambda: ("kf-chi2", "loo-glr"))
+    two = {name: registry.detectors()[name] for name in ("kf-chi2", "loo-glr")}
+    monkeypatch.setattr(registry, "detectors", lambda: two)
     rows = bench.run(["roofline"], seconds=0.1)
     assert all(np.isfinite(r.value) and r.value > 0 for r in rows if r.condition != "products")
     assert [r.condition for r in rows if r.detector == "none"] == list(Work._fields)
