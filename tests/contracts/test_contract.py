@@ -44,7 +44,9 @@ OF_MODULES = ("adaptive-threshold:", "virtual-sensors", "structural-residuals")
 SLOW = {("gas-pipeline", "fusing-ukf"), ("gas-pipeline", "fusing-enkf")}  # several seconds of calibration
 SLOW |= {("power-network", f"fusing-{kind}") for kind in ("ekf", "ukf", "enkf")}
 LONG = {("gas-pipeline", "frozen-model"), ("power-network", "frozen-model")}  # a minute each
-LONG |= {(plant, f"filterpy-{kind}") for plant in ("chain", "marine-engine") for kind in ("ekf", "ukf")}
+LONG |= {(plant, f"filterpy-{kind}") for plant in ("chain", "marine-engine") for kind in ("ekf", "ukf")} | {
+    ("two-tanks", "filterpy-ukf")
+}
 
 # Faults of 30 sigma that a method misses, by quantity. Shaheen 2024, (20), adds MPa to kg/s, so the extended filter's bank
 # detects a pressure fault but isolates another sensor.

@@ -91,7 +91,7 @@ def test_process_faults_are_named_by_either() -> None:
     assert names[-2:] == [NO_SINGLE_CAUSE.name, OUTSIDE.name] and len(set(names)) == len(names)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_bank_that_does_not_keep_its_rate_on_the_healthy_log_is_left_out() -> None:
     law = heated_room()
     alone = FrozenBank.fit(law.plant(), log := law.record(2, 21, building=11), 1 / DAY)

@@ -1,4 +1,4 @@
-"""The registered detectors as parameters of tests; one whose optional package is missing skips, slow references are `slow`."""
+"""The registered detectors as parameters of tests; one whose optional package is missing skips, slow references are `long`."""
 
 from __future__ import annotations
 
@@ -15,6 +15,6 @@ needs_toolbox = pytest.mark.skipif(
 )
 STRUCTURAL = pytest.param(NAME, marks=needs_toolbox)
 REGISTERED = [
-    STRUCTURAL if name == NAME else pytest.param(name, marks=pytest.mark.slow) if entry.reference else name
+    STRUCTURAL if name == NAME else pytest.param(name, marks=pytest.mark.long) if entry.reference else name
     for name, entry in registry.detectors().items()
 ]

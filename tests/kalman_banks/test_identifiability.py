@@ -179,7 +179,7 @@ def test_the_smallest_detectable_faults_are_detected(stated: Callable[[], Plant]
 
 
 @pytest.mark.parametrize(
-    "stated", [uncertain_tanks, pytest.param(uncertain_engine, marks=pytest.mark.slow)], ids=["tanks", "engine"]
+    "stated", [uncertain_tanks, pytest.param(uncertain_engine, marks=pytest.mark.long)], ids=["tanks", "engine"]
 )
 def test_a_bank_with_that_window_detects_them_at_least_as_often(stated: Callable[[], Plant]) -> None:
     """loo-glr tests all onsets in its window, the true one among them: at the window's end at least Phi(5 - h) of the runs."""
