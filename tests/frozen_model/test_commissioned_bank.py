@@ -48,8 +48,8 @@ def decisions(detector: FrozenBank, log: Log) -> Decision:
     return run(detector, detector.init(), log)[1]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("sensor", [0, pytest.param(1, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("sensor", [0, 1])
 def test_an_abrupt_bias_of_a_level_sensor_is_named_where_lasting_patterns_have_two_explanations(sensor: int) -> None:
     """Over eight runs: the level or its outlet, says the frozen model; with the bank it is the level, and another sensor in at
     most 0.5 % of the rows, one alarm of 16 rows at a stated 0.1 %.

@@ -27,16 +27,18 @@ KERNELS = {"Prescott": ("SSE3", "X86_V2"), "Haswell": ("AVX2", "X86_V3"), "Skyla
 # FMUs, which calculate by themselves
 NOT_NUMERICAL = (
     "benchmarks", "cli", "comparison", "experiments", "fmu", "live", "logs", "monitoring", "mutants", "report", "study",
-    "test_architecture.py", "test_diagnose.py", "test_engine_virtual_sensors.py", "test_entry_points.py", "test_events.py",
+    "test_architecture.py", "test_diagnose.py", "test_engine_virtual_sensors.py", "test_entrances.py", "test_entry_points.py",
+    "test_events.py",
     "test_files.py", "test_kind_trials.py", "test_lag.py", "test_nomenclature.py", "test_notebooks.py", "test_package.py",
     "test_project_files.py", "test_readme.py",
     "test_references.py", "test_registry.py", "test_results_pages.py", "test_site.py",
     "test_site_examples.py", "test_storage.py",
     "test_valve_log.py",
 )  # fmt: skip
-# The contract on the two largest plants takes as long as all else; their numbers are in the tests of the plants themselves.
+# The contract on the two largest plants takes as long as all else, that of slow references nearly so; their numbers are in the
+# tests of the plants and of the filters themselves.
 OLDEST = "--oldest"
-SMALL = ("-k", "not (test_contract and (gas-pipeline or power-network))")
+SMALL = ("-k", "not (test_contract and (gas-pipeline or power-network or filterpy))")
 
 
 def settings() -> dict[str, dict[str, str]]:
