@@ -73,7 +73,7 @@ def settings() -> dict[str, dict[str, str]]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run pytest once for each setting, with `--oldest` for that alone, which differs most, without LEFT_OUT; 1 if one failed."""
+    """Run pytest for each setting; with `--oldest` for that alone, which differs most, without LEFT_OUT. 1 if one failed."""
     own = [a for a in arguments if a != OLDEST]
     chosen = list(settings().items())[-1 if OLDEST in arguments else 0 :]
     folder = Path(__file__).resolve().parent.parent
