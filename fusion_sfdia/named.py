@@ -10,7 +10,7 @@ from typing import Any
 
 from fusion_sfdia import registry
 from fusion_sfdia.builders import healthy_data
-from fusion_sfdia.core.detector import Detector
+from fusion_sfdia.core.detector import OWN_CLASS, Detector
 from fusion_sfdia.core.log import as_log, is_frame, one_run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.detectors import FALSE_ALARM
@@ -43,8 +43,7 @@ def diagnose(
         if not isinstance(detector, str | registry.NamedDetector) and not callable(detector):
             raise ValueError(
                 f"the first argument is of type {type(detector).__name__}; expected a detector or its name: "
-                "diagnose('kf-chi2', t, y, u, plant=plant); a class of your own derives from BatchDetector, or from "
-                "fusion_sfdia.core.detector.Claims"
+                f"diagnose('kf-chi2', t, y, u, plant=plant); {OWN_CLASS}"
             )
         if plant is None:
             name = registry.find_detector(detector).name

@@ -253,14 +253,14 @@ def detector(what: str | Callable[[Plant], Detector] | NamedDetector, of: Plant)
 
     ValueError as there, and if no Detector is built; NotApplicableError where the plant lacks what its method needs.
     """
-    from fusion_sfdia.core.detector import Detector
+    from fusion_sfdia.core.detector import OWN_CLASS, Detector
 
     entry = find_detector(what)
     built = entry.build(of)
     if not isinstance(built, Detector):
         raise ValueError(
             f"detector {entry.name}: built {type(built).__name__}; expected a Detector, with plant, hypotheses, init and step; "
-            "derive it from BatchDetector, or from fusion_sfdia.core.detector.Claims, which has the rest"
+            f"{OWN_CLASS}, which has the rest"
         )
     return built
 

@@ -168,6 +168,11 @@ class AdaptiveThreshold(BatchDetector):
         return np.asarray(np.abs(np.imag(rates)) / COMPLEX_STEP)
 
     @cached_property
+    def _others(self) -> list[float]:
+        """lambda_h d_chi of each state (S): the effect on its equation of the noise in all readings but its own, per s."""
+        return [float(np.delete(slopes * self._bound, e).sum()) for e, slopes in enumerate(self._steepness)]
+
+    @cached_property
     def logic(self) -> DiagnosisLogic:
         """Signature matrices from the equations' arguments: 1 for an observer's own sensor, * for other sensors it reads."""
         return module_logic(self.plant, self._modules, agents=self.agents)
@@ -247,13 +252,11 @@ class AdaptiveThreshold(BatchDetector):
 
     def _published(self, error: Array, t: Array) -> Array:
         """Bounds of the states' errors (B, S) at t (B,) since the start: (10) less the noise where constants are given."""
-        error, bound = error.copy(), self._bound
+        error = error.copy()
         for e, variable in enumerate(self._modules.states):
             if variable in self.observer_bounds:
-                slopes = self._steepness[e]
-                others = float(np.delete(slopes * bound, e).sum())
                 c, start = self.observer_bounds[variable], self.half_width[e]
-                error[:, e] = c.threshold(t, start, bound[e], slopes[e], others)
+                error[:, e] = c.threshold(t, start, self._bound[e], self._steepness[e, e], self._others[e])
         return error
 
 

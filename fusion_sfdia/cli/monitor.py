@@ -106,9 +106,11 @@ def monitored(chosen: argparse.Namespace, out: Path, learnt: Any, say: Any) -> i
     from fusion_sfdia.report.log_report import OF_BEFORE, OWN_FILE, files, require_apart, write_diagnosis
     from fusion_sfdia.report.log_units import LogUnits
     from fusion_sfdia.report.progress import working
+    from fusion_sfdia.report.tables import require_tables
 
     suffix = f".{chosen.tables}"
     require_apart(chosen.data, out)
+    require_tables(suffix)
     with locked(out, force=chosen.force):
         monitor = learnt()
         data = monitor.read(chosen.data, chosen.map, absent_sensors=chosen.absent_sensors)

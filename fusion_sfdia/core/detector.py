@@ -116,6 +116,8 @@ class Decision:
         return np.asarray((self.score > 1) | self.isolated.any(axis=-1))
 
 
+OWN_CLASS = "a class of your own derives from BatchDetector, or from fusion_sfdia.core.detector.Claims"
+
 if TYPE_CHECKING:
     Default = property
 else:
@@ -127,10 +129,8 @@ else:
             self.of, self.__doc__ = of, of.__doc__
 
         def __get__(self, found: Any, kind: Any = None) -> Any:
-            if found is None:
-                raise AttributeError(
-                    "of objects only"
-                )  # so that a dataclass takes a field of that name for one without a default
+            if found is None:  # of the class: a dataclass then takes a field of that name for one without a default
+                raise AttributeError("of objects only")
             return self.of(found)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import shown
-from fusion_sfdia.core.detector import Detector
+from fusion_sfdia.core.detector import OWN_CLASS, Detector
 from fusion_sfdia.core.files import atomic_write
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.state import State, leaves, names, rebuilt
@@ -66,8 +66,8 @@ def require_detector(detector: Any) -> None:
     """Raise ValueError for anything but a Detector object, such as its name or its class."""
     if isinstance(detector, type) or not isinstance(detector, Detector):
         raise ValueError(
-            f"detector is {shown(detector)}; expected a Detector, such as registry.detector('kf-chi2', plant) returns it; a "
-            "class of your own derives from BatchDetector, or from fusion_sfdia.core.detector.Claims"
+            f"detector is {shown(detector)}; expected a Detector, such as registry.detector('kf-chi2', plant) returns it; "
+            f"{OWN_CLASS}"
         )
 
 

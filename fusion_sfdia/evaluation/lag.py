@@ -54,7 +54,7 @@ def explained_by_lag(
     """The diagnosis of a log of one run, or, where late sensors explain most of its isolations, that of the log with their
     readings moved to when they were true, which states so; and the log that it is of. again: diagnoses a log.
     """
-    stated, suspects, texts = found.of_log, found.suspects, list[str]()
+    texts = list[str]()
     while found.events and (late := latest(detector, log, found)) is not None and len(texts) < MOST:
         i, rows = late
         near = range(max(rows - 1, 1), rows + 2)  # the prediction may be off itself, by a row
@@ -69,7 +69,7 @@ def explained_by_lag(
             f"{Lag(i, rows).told(detector.plant, log)}: its readings are taken as that much earlier; correct their times, or "
             "add the delay to the model"
         )
-        log, found = moved, replace(result, of_log=(*stated, *texts), suspects=suspects)
+        log, found = moved, replace(result, of_log=(*result.of_log, *texts))
     return found, log
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -41,9 +40,12 @@ class Prepared(NamedTuple):
         """The Diagnosis, see `diagnose_run`, with late sensors explained, and the log that it is of, see `explained_by_lag`.
         ValueError, DiagnosisWarning: as of `diagnose_run`.
         """
-        again = partial(diagnose_run, self.detector, gap=gap, clock=self.clock, each=each, unread=self.unread)
-        first = replace(again(self.log), of_log=self.of_log, suspects=self.suspects)
-        return explained_by_lag(self.detector, self.log, first, again)
+
+        def again(log: Log) -> Diagnosis:
+            found = diagnose_run(self.detector, log, gap=gap, clock=self.clock, each=each, unread=self.unread)
+            return replace(found, of_log=self.of_log, suspects=self.suspects)
+
+        return explained_by_lag(self.detector, self.log, again(self.log), again)
 
 
 def prepared(detector: Detector, loaded: LoadedLog, build: Callable[[Plant], Detector] | None = None) -> Prepared:

@@ -271,28 +271,23 @@ class GaussianParticles(Moments):
     def update(self, plant: Plant, prior: Prior, t: float, y: Array, u: Array) -> GaussianState:
         joint = self.joint(plant, prior, t, u)
         found, reading = gaussian.condition(joint, y), Reading(t, y[..., None, :], u)
-        x, p = self.weighed(plant, [prior], joint, reading, found.x[..., None, :], found.P[..., None, :, :])
+        x, p = self.weighed(plant, prior, joint, reading, found.x[..., None, :], found.P[..., None, :, :])
         return GaussianState(x[..., 0, :], p[..., 0, :, :])
 
-    def weighed(
-        self, plant: Plant, prior: list[Prior], joint: Joint, reading: Reading, x: Array, p: Array
-    ) -> tuple[Array, Array]:
+    def weighed(self, plant: Plant, prior: Prior, joint: Joint, reading: Reading, x: Array, p: Array) -> tuple[Array, Array]:
         """Return mean x (..., N, n) and covariance p (..., N, n, n) of N local filters from draws of the x and p given.
 
             X = x + L z,    L L' = p,    w ~ N(X; prior) prod_j N(y_j; h_j(X), R_j) / N(X; x, p)
 
-        prior: of each filter, or one for all. joint: of the first. reading: y (..., N, N), NaN where a filter does
-        not use a reading.
+        prior, joint: of all filters. reading: y (..., N, N), NaN where a filter does not use a reading.
         """
-        x, p = np.array(x), np.array(p)
+        x, p, z, (mean, cov) = np.array(x), np.array(p), prior.propagated, prior.core
+        assert z is not None
+        exact = np.diagonal(cov, axis1=-2, axis2=-1) == 0  # states without variance stay at the mean
+        L = gaussian.cholesky(cov + exact[..., None] * np.eye(exact.shape[-1]) if exact.any() else cov)
         for i in range(x.shape[-2]):
-            before = prior[min(i, len(prior) - 1)]
-            z, (mean, cov) = before.propagated, before.core
-            assert z is not None
             members = _drawn(x[..., i, :], p[..., i, :, :], z)
             h = plant.near(readings_of_points(plant, reading.t, members, reading.u), joint.y[..., None, :])
-            exact = np.diagonal(cov, axis1=-2, axis2=-1) == 0  # states without variance stay at the mean
-            L = gaussian.cholesky(cov + exact[..., None] * np.eye(exact.shape[-1]) if exact.any() else cov)
             away = np.swapaxes(members - mean[..., None, :], -1, -2)
             whitened = gaussian.solve_lower(np.broadcast_to(L, (*away.shape[:-2], *L.shape[-2:])), away)
             log = particle.log_likelihood(h, reading.y[..., i, :], plant.sensor_cov)

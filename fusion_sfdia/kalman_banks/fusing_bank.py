@@ -306,7 +306,7 @@ class FusingBank(BatchDetector):
         if not isinstance(self.estimator, GaussianParticles):
             return Local(found, x, None)
         p, reading = local_covariances(joint, found, gains), Reading(now.t, without_own(y, used), u)
-        return Local(found, *self.estimator.weighed(self.plant, prior, joint, reading, x, p))
+        return Local(found, *self.estimator.weighed(self.plant, prior[0], joint, reading, x, p))
 
     def _mix(self, joint: Joint, local: Local, y: Array) -> Mixed:
         """Step 3: mixture."""

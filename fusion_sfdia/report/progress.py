@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from fusion_sfdia.core.plain_text import acting
 
@@ -14,26 +14,31 @@ T = TypeVar("T")
 
 def progress(steps: Iterable[T], what: str = "diagnosing", count: int | None = None) -> Iterable[T]:
     """The steps, with a bar and the time left while they last; count: how many there are, where they have no length."""
-    if not sys.stderr.isatty():
+    if (console := _terminal()) is None:
         return steps
-    from rich.console import Console
     from rich.progress import track
 
-    console = Console(file=acting(sys.stderr))  # which may be told that a terminal is none
-    return track(steps, what, count, console=console, transient=True) if console.is_terminal else steps
+    return track(steps, what, count, console=console, transient=True)
 
 
 @contextmanager
 def working(what: str) -> Iterator[None]:
     """While work of unknown length lasts, a moving bar and the time that has passed."""
-    if not sys.stderr.isatty():
+    if (console := _terminal()) is None:
         yield
         return
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    console = Console(file=acting(sys.stderr))
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
+    with Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=console, transient=True) as bar:
         bar.add_task(what, total=None)
         yield
+
+
+def _terminal() -> Any:
+    """The console of standard error, None where that is no terminal, or is told that it is none."""
+    if not sys.stderr.isatty():
+        return None
+    from rich.console import Console
+
+    console = Console(file=acting(sys.stderr))
+    return console if console.is_terminal else None

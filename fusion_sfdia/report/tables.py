@@ -23,8 +23,8 @@ from fusion_sfdia.report.log_units import LogUnits
 Array = NDArray[Any]
 
 DIGITS = 4  # of a score
-EXTRA = {".xlsx": "excel", ".parquet": "parquet"}
-SUFFIXES = (".csv", *EXTRA)
+NEEDS = {".xlsx": ("openpyxl", "excel"), ".parquet": ("pyarrow", "parquet")}  # the package, and our extra that brings it
+SUFFIXES = (".csv", *NEEDS)
 MOST_ROWS, MOST_COLUMNS = 1_048_576, 16_384  # of a sheet, by the specification of Excel
 
 
@@ -102,18 +102,20 @@ def write_rows(path: Path, count: int, table: RowTable) -> None:
         with atomic_write(path, "wb") as file:
             frame.to_excel(file, index=False, engine="openpyxl") if sheet else frame.to_parquet(file, engine="pyarrow")
     except ImportError as error:
-        raise MissingPackageError(
-            f"{path.name} needs a package that is not installed: install fusion-sfdia[{EXTRA[path.suffix]}], or write .csv"
-        ) from error
+        raise _missing(path.suffix) from error
 
 
 def require_tables(suffix: str) -> None:
     """Raise MissingPackageError where the package that writes such files is not installed."""
-    needed = {".xlsx": "openpyxl", ".parquet": "pyarrow"}
-    if suffix in needed and find_spec(needed[suffix]) is None:
-        raise MissingPackageError(
-            f"tables as {suffix} need {needed[suffix]}: install fusion-sfdia[{EXTRA[suffix]}], or write csv"
-        )
+    if suffix in NEEDS and find_spec(NEEDS[suffix][0]) is None:
+        raise _missing(suffix)
+
+
+def _missing(suffix: str) -> MissingPackageError:
+    package, extra = NEEDS[suffix]
+    return MissingPackageError(
+        f"tables as {suffix} need {package}, which is missing or too old: install fusion-sfdia[{extra}], or write .csv"
+    )
 
 
 def _cells(block: Any) -> list[str]:
