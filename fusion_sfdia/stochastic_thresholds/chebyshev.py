@@ -125,7 +125,7 @@ class Chebyshev(BatchDetector):
         alpha = [conformal_alpha(scores[:, i], false_alarm / c) for i, c in enumerate(self.components)]
         return replace(
             self, rule=CONFORMAL, alpha=tuple(float(a) for a in alpha), false_alarm=None, threshold_scale=1.0,
-            fitted_rate=false_alarm * self.diagnosers,
+            fitted_rate=false_alarm * self.diagnoser_count,
         )  # fmt: skip
 
     @cached_property
@@ -140,13 +140,17 @@ class Chebyshev(BatchDetector):
     @cached_property
     def components(self) -> Array:
         """Number of sensors (N,) of the diagnoser of each sensor."""
-        owners = [s.owner if self.plant.structure.areas is not None else "" for s in self.plant.sensors]
-        return np.array([owners.count(owner) for owner in owners])
+        return np.array([self._owners.count(owner) for owner in self._owners])
+
+    @property
+    def diagnoser_count(self) -> int:
+        """One for each area, or one for the plant."""
+        return len({*self._owners})
 
     @cached_property
-    def diagnosers(self) -> int:
-        """Their number: one for each area, or one for the plant."""
-        return round(float(np.sum(1 / self.components)))
+    def _owners(self) -> list[str]:
+        """The area of each sensor (N,), "" for all where the plant has none."""
+        return [s.owner if self.plant.structure.areas is not None else "" for s in self.plant.sensors]
 
     @property
     def claimed_rate(self) -> float:

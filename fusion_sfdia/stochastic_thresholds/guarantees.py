@@ -207,5 +207,5 @@ def _false_alarm(detector: Chebyshev) -> float:
         return 0.0 if np.all(detector.limits >= 1) else np.nan
     if detector.rule == CONFORMAL:  # of a diagnoser, shared equally by its sensors
         rate = np.nan if detector.fitted_rate is None else detector.fitted_rate
-        return float(rate / detector.diagnosers / np.min(detector.components))
+        return float(rate / detector.diagnoser_count / np.min(detector.components))
     return float(np.max(RULES[detector.rule].false_alarm(np.maximum(detector.limits, RULES[detector.rule].least + 1e-12))))
