@@ -188,8 +188,8 @@ MUTANTS = (
     ),
     Mutant(
         "fusion_sfdia/adaptive_thresholds/adaptive_threshold.py",
-        "np.delete(slopes * bound, e).sum()",
-        "slopes[e] * bound[e]",
+        "np.delete(slopes * self._bound, e).sum()",
+        "slopes[e] * self._bound[e]",
         "tests/adaptive_thresholds/test_adaptive_threshold.py::test_published_thresholds_in_noise_bounds",
     ),
     Mutant(
