@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from fusion_sfdia import registry
+from fusion_sfdia.detectors import registry
 
 ROOT = Path(__file__).resolve().parent.parent
 FIRST = {  # what each of two processes compiles before it collects: plants, and the detector that runs on them
@@ -39,8 +39,8 @@ def pytest_collection() -> Generator[None, object, object]:
 
 def run_once(plant: str, detector: str) -> None:
     """Two steps of a plant and of a detector on it."""
-    from fusion_sfdia.core.detector import run
-    from fusion_sfdia.evaluation.simulate import simulate
+    from fusion_sfdia.detectors.detector import run
+    from fusion_sfdia.diagnosis.simulate import simulate
 
     found = registry.detector(detector, of := registry.plant(plant))
     recording = simulate(of, 2, [0, 1])
@@ -65,8 +65,8 @@ def shared_fixtures() -> Path:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures of this process are empty: for tests of other things, which take most of their time to draw."""
-    from fusion_sfdia.experiments import drawing
     from fusion_sfdia.report import log_page, log_report
+    from fusion_sfdia.study.experiments import drawing
 
     for module, name in ((drawing, "write_figure"), (log_report, "write_figure"), (log_page, "figure_svg")):
         monkeypatch.setattr(module, name, lambda *_: "<svg></svg>")

@@ -18,13 +18,13 @@ from fusion_sfdia.benchmarks.chemical.support.monitoring import (
 )
 from fusion_sfdia.benchmarks.chemical.support.recordings import MEASUREMENTS
 from fusion_sfdia.benchmarks.chemical.support.tasks import SIGMAS, once, require_measurements, task_for_each
-from fusion_sfdia.evaluation.isolation_metrics import exact_isolation
-from fusion_sfdia.evaluation.metrics import rate_over_runs
-from fusion_sfdia.evaluation.results import Row, row_of
-from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
 from fusion_sfdia.report.content import Figure, Summary, Table
-from fusion_sfdia.report.findings import listed, pick
+from fusion_sfdia.report.metrics import rate_over_runs
 from fusion_sfdia.report.plots import Bars, bars, legend_above, panels
+from fusion_sfdia.report.results import Row, row_of
+from fusion_sfdia.report.sentences import listed, pick
+from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task
+from fusion_sfdia.study.isolation_metrics import exact_isolation
 
 Array = NDArray[Any]
 Results = list[tuple[Task, Arrays]]

@@ -10,17 +10,17 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
-from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.benchmarks.engine.support import campaign
 from fusion_sfdia.benchmarks.engine.support.campaign_figures import drive_figure, run_figure, share_matrix
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row
-from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, share
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
+from fusion_sfdia.detectors.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.models.marine_engine.plant import SENSORS
 from fusion_sfdia.report.content import Figure, Summary
-from fusion_sfdia.report.findings import pick, span
+from fusion_sfdia.report.metrics import Estimate, mean_over_runs, share
 from fusion_sfdia.report.plots import panels
+from fusion_sfdia.report.results import Row
+from fusion_sfdia.report.sentences import pick, span
+from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 
 Array = NDArray[Any]
 

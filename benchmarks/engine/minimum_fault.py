@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.benchmarks.engine.support import campaign
 from fusion_sfdia.benchmarks.engine.support.decisions import value_of
 from fusion_sfdia.benchmarks.engine.support.trials import (
@@ -32,16 +31,17 @@ from fusion_sfdia.benchmarks.engine.support.trials import (
     row,
     tasks,
 )
-from fusion_sfdia.core.detector import run
-from fusion_sfdia.core.state import with_runs
-from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.evaluation.simulate import Recording
-from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
+from fusion_sfdia.detectors.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
+from fusion_sfdia.detectors.detector import run
+from fusion_sfdia.detectors.state import with_runs
+from fusion_sfdia.diagnosis.simulate import Recording
 from fusion_sfdia.models.marine_engine.published import minimum_fault
 from fusion_sfdia.report.content import Figure, Summary, Table
-from fusion_sfdia.report.findings import pick
+from fusion_sfdia.report.metrics import Estimate, mean_over_runs
 from fusion_sfdia.report.plots import Bars, bars, legend_above, panels
+from fusion_sfdia.report.results import Row
+from fusion_sfdia.report.sentences import pick
+from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task
 
 NAME = "engine/minimum-fault"
 ONSET = 0.5  # s: the initial state of the observers has decayed

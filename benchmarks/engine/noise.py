@@ -26,15 +26,15 @@ from fusion_sfdia.benchmarks.engine.support.noise_figures import (
     published,
 )
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row, timeline
-from fusion_sfdia.evaluation.diagnosis_metrics import Response
-from fusion_sfdia.evaluation.fault_effects import apply_faults
-from fusion_sfdia.evaluation.faults import Fault
-from fusion_sfdia.evaluation.metrics import Estimate
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
+from fusion_sfdia.diagnosis.fault_effects import apply_faults
+from fusion_sfdia.diagnosis.faults import Fault
 from fusion_sfdia.models.marine_engine.published import DELAYS, Delay, Offset
 from fusion_sfdia.report.content import Summary, Table
-from fusion_sfdia.report.findings import listed, pick, span
+from fusion_sfdia.report.metrics import Estimate
+from fusion_sfdia.report.results import Row
+from fusion_sfdia.report.sentences import listed, pick, span
+from fusion_sfdia.study.diagnosis_metrics import Response
+from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 
 Array = NDArray[Any]
 

@@ -26,15 +26,15 @@ from fusion_sfdia.benchmarks.engine.support.process_figures import (
     severity_text,
 )
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.fault_effects import apply_faults
-from fusion_sfdia.evaluation.faults import Fault
-from fusion_sfdia.evaluation.metrics import Estimate, share
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
+from fusion_sfdia.diagnosis.fault_effects import apply_faults
+from fusion_sfdia.diagnosis.faults import Fault
 from fusion_sfdia.models.marine_engine.plant import SENSORS
+from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.content import Figure, Summary
-from fusion_sfdia.report.findings import pick, span
+from fusion_sfdia.report.metrics import Estimate, share
+from fusion_sfdia.report.results import Row
+from fusion_sfdia.report.sentences import pick, span
+from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 
 Array = NDArray[Any]
 

@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.engine.support import campaign
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, NAMES, row
-from fusion_sfdia.core.state import chosen_runs
-from fusion_sfdia.evaluation.diagnosis_metrics import smallest_detected
-from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
+from fusion_sfdia.detectors.state import chosen_runs
 from fusion_sfdia.models.marine_engine.modules import GAINS, MODULES
 from fusion_sfdia.models.marine_engine.published import DESIGNS, minimum_fault
 from fusion_sfdia.report.content import Figure, Summary
-from fusion_sfdia.report.findings import listed, pick, span
+from fusion_sfdia.report.metrics import Estimate, mean_over_runs
 from fusion_sfdia.report.plots import COLOURS, DASHES, MARKERS, legend_above, panels
+from fusion_sfdia.report.results import Row
+from fusion_sfdia.report.sentences import listed, pick, span
+from fusion_sfdia.study.diagnosis_metrics import smallest_detected
+from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 
 Array = NDArray[Any]
 

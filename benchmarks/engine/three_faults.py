@@ -7,8 +7,6 @@ from functools import partial
 from fusion_sfdia.benchmarks.engine.support.decisions import isolation_rows, pattern_share, shares, value_of
 from fusion_sfdia.benchmarks.engine.support.published_runs import PUBLISHED_TIMELINE, compare_with_published
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, SAMPLING, Results, by_detector, row, tasks, timeline, trial
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
 from fusion_sfdia.models.marine_engine.published import (
     AT_NOMINAL_SPEED,
     EXONERATION_HALF_WIDTH,
@@ -18,7 +16,9 @@ from fusion_sfdia.models.marine_engine.published import (
     THREE_FAULTS,
 )
 from fusion_sfdia.report.content import Summary
-from fusion_sfdia.report.findings import listed, pick
+from fusion_sfdia.report.results import Row
+from fusion_sfdia.report.sentences import listed, pick
+from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task
 
 NAME, FAULT = "engine/three-faults", "three-faults"
 PUBLISHED = (ISOLATION_PERFORMANCE, EXONERATION_PERFORMANCE)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from fusion_sfdia.benchmarks.engine.support.decisions import shares, value_of
 from fusion_sfdia.benchmarks.engine.support.published_runs import compare_with_published
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, SAMPLING, Results, by_detector, tasks, trial
-from fusion_sfdia.experiments.scenario import Scenario, Settings, Task
 from fusion_sfdia.models.marine_engine.published import TWO_FAULTS
 from fusion_sfdia.report.content import Summary
-from fusion_sfdia.report.findings import listed, pick
+from fusion_sfdia.report.sentences import listed, pick
+from fusion_sfdia.study.experiments.scenario import Scenario, Settings, Task
 
 NAME, FAULT = "engine/two-faults", "two-faults"
 

@@ -6,7 +6,6 @@ from functools import partial
 
 import numpy as np
 
-from fusion_sfdia.adaptive_thresholds.adaptive_observer import Rates, adaptive_rate
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, NAMES, Array, Results, engine, row
 from fusion_sfdia.benchmarks.engine.support.virtual_figures import virtual_sensor_figures
 from fusion_sfdia.benchmarks.engine.support.virtual_trials import (
@@ -31,12 +30,13 @@ from fusion_sfdia.benchmarks.engine.support.virtual_trials import (
     sensor_tasks,
     sensor_work,
 )
-from fusion_sfdia.evaluation.metrics import Estimate, bootstrap_over_runs, mean_over_runs, share
-from fusion_sfdia.evaluation.results import Published, Row
-from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings
+from fusion_sfdia.detectors.adaptive_thresholds.adaptive_observer import Rates, adaptive_rate
 from fusion_sfdia.models.marine_engine.published import K22_GAINS
 from fusion_sfdia.report.content import Summary, Table
-from fusion_sfdia.report.findings import pick, span
+from fusion_sfdia.report.metrics import Estimate, bootstrap_over_runs, mean_over_runs, share
+from fusion_sfdia.report.results import Published, Row
+from fusion_sfdia.report.sentences import pick, span
+from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings
 
 NAME, FAULT = "engine/virtual-sensors", "three-faults"
 

@@ -12,21 +12,21 @@ from numpy.typing import NDArray
 from fusion_sfdia.benchmarks.network.support.attack_figures import answers_figure, false_isolation_figure
 from fusion_sfdia.benchmarks.network.support.rows import detector_name, row, spread, time_rows
 from fusion_sfdia.benchmarks.network.support.trials import LATE, Arrays, Watch, join_runs, require_settings, trial
-from fusion_sfdia.core.detector import run
-from fusion_sfdia.evaluation.metrics import mean_over_runs, share
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Scenario, Settings, Task, seed_blocks
+from fusion_sfdia.detectors.detector import run
+from fusion_sfdia.detectors.registry import detector
+from fusion_sfdia.detectors.stochastic_thresholds.consensus import MODES
+from fusion_sfdia.detectors.stochastic_thresholds.fault_hypotheses import NONE, NOT_ISOLATED, UNDECIDED
 from fusion_sfdia.models.power_network.equations import STATES
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, network_model
 from fusion_sfdia.models.power_network.operation import AreaFault
 from fusion_sfdia.models.power_network.plant import power_network
 from fusion_sfdia.models.power_network.published import ATTACKS, SIGN_FLIP
 from fusion_sfdia.models.power_network.simulation import NetworkSample
-from fusion_sfdia.registry import detector
 from fusion_sfdia.report.content import Summary, Table
-from fusion_sfdia.report.findings import span
-from fusion_sfdia.stochastic_thresholds.consensus import MODES
-from fusion_sfdia.stochastic_thresholds.fault_hypotheses import NONE, NOT_ISOLATED, UNDECIDED
+from fusion_sfdia.report.metrics import mean_over_runs, share
+from fusion_sfdia.report.results import Row
+from fusion_sfdia.report.sentences import span
+from fusion_sfdia.study.experiments.scenario import Scenario, Settings, Task, seed_blocks
 
 Array = NDArray[Any]
 

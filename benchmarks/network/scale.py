@@ -19,20 +19,20 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.network.support.robust_scale import growth, robust_step
 from fusion_sfdia.benchmarks.network.support.rows import row
-from fusion_sfdia.core.areas import Areas
-from fusion_sfdia.evaluation.metrics import NOTHING
-from fusion_sfdia.evaluation.results import Published, Row
-from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
-from fusion_sfdia.experiments.timing import Timing, best_times
+from fusion_sfdia.detectors.stochastic_thresholds.consensus import Diagnosers, NetworkReadings, initial_state
+from fusion_sfdia.detectors.stochastic_thresholds.network_step import network_step
+from fusion_sfdia.detectors.stochastic_thresholds.partitioned_network import PartitionedNetwork
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import NetworkModel, network_model
 from fusion_sfdia.models.power_network.parameters import generate_network
 from fusion_sfdia.models.power_network.running import RunningNetwork
+from fusion_sfdia.plant.areas import Areas
 from fusion_sfdia.report.content import Figure, Summary
+from fusion_sfdia.report.metrics import NOTHING
 from fusion_sfdia.report.plots import panels
-from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, NetworkReadings, initial_state
-from fusion_sfdia.stochastic_thresholds.network_step import network_step
-from fusion_sfdia.stochastic_thresholds.partitioned_network import PartitionedNetwork
+from fusion_sfdia.report.results import Published, Row
+from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task
+from fusion_sfdia.study.experiments.timing import Timing, best_times
 
 Array = NDArray[Any]
 

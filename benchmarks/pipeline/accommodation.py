@@ -11,15 +11,15 @@ from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
 from fusion_sfdia.benchmarks.pipeline.support.trials import COMMON, PAPER, STRENGTHS, Results, tasks, trial
-from fusion_sfdia.evaluation.estimation_metrics import root_mean_square
-from fusion_sfdia.evaluation.metrics import Estimate
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.evaluation.trials import READINGS
-from fusion_sfdia.experiments.scenario import Scenario, Settings, Task
 from fusion_sfdia.models.gas_pipeline.published import FAULTS, QUANTITIES
 from fusion_sfdia.report.content import Figure, Summary, Table
-from fusion_sfdia.report.findings import left_out, listed, pick, span
+from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.plots import bars, legend_above, panels
+from fusion_sfdia.report.results import Row
+from fusion_sfdia.report.sentences import left_out, listed, pick, span
+from fusion_sfdia.study.estimation_metrics import root_mean_square
+from fusion_sfdia.study.experiments.scenario import Scenario, Settings, Task
+from fusion_sfdia.study.trials import READINGS
 
 NAME = "pipeline/accommodation"
 READING = "reading of the faulty sensor"  # the condition of rows that are not of the state estimate

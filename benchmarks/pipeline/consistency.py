@@ -9,20 +9,20 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia import registry
 from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, row
 from fusion_sfdia.benchmarks.pipeline.support.trials import OURS, PAPER, SETTLE, SINGLE, Results, common, tasks
-from fusion_sfdia.builders import PAPER_FILTERS
-from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, rate_over_runs
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.evaluation.trials import decide, faulted
-from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
-from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.detectors.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.learning.builders import PAPER_FILTERS
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.report.content import Figure, Summary, Table
-from fusion_sfdia.report.findings import listed, pick
+from fusion_sfdia.report.metrics import Estimate, mean_over_runs, rate_over_runs
 from fusion_sfdia.report.plots import bars, legend_above, panels
+from fusion_sfdia.report.results import Row
+from fusion_sfdia.report.sentences import listed, pick
+from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task
+from fusion_sfdia.study.trials import decide, faulted
 
 NAME = "pipeline/consistency"
 BUDGETS = (1e-1, 1e-2, 1e-3)

@@ -17,20 +17,20 @@ from fusion_sfdia.benchmarks.pipeline.support.interpretations import (
 )
 from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
 from fusion_sfdia.benchmarks.pipeline.support.trials import PAPER, Results, common, initial, tasks, trial
-from fusion_sfdia.builders import PAPER_FILTERS
-from fusion_sfdia.core.detector import Detector
-from fusion_sfdia.evaluation.estimation_metrics import root_mean_square
-from fusion_sfdia.evaluation.metrics import Estimate
-from fusion_sfdia.evaluation.results import Published, Row
-from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
-from fusion_sfdia.kalman_banks.central_filter import CentralFilter
-from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.detectors.detector import Detector
+from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.detectors.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.learning.builders import PAPER_FILTERS
 from fusion_sfdia.models.gas_pipeline import published
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.report.content import Figure, Summary
-from fusion_sfdia.report.findings import left_out, listed, pick
+from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.plots import bars, legend_above, panels
+from fusion_sfdia.report.results import Published, Row
+from fusion_sfdia.report.sentences import left_out, listed, pick
+from fusion_sfdia.study.estimation_metrics import root_mean_square
+from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task
 
 NAME, LEVELS = "pipeline/estimation", ("high", "moderate", "low")
 

@@ -11,20 +11,20 @@ from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.pipeline.support.rows import judged_runs, row
 from fusion_sfdia.benchmarks.pipeline.support.trials import COMMON, OURS, PAPER, SENSORS, STRENGTHS, Results, grid, tasks, trial
-from fusion_sfdia.evaluation import detection_metrics as metrics
-from fusion_sfdia.evaluation.isolation_metrics import (
+from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
+from fusion_sfdia.report.content import Figure, Summary
+from fusion_sfdia.report.metrics import mean_over_runs
+from fusion_sfdia.report.plots import isolation_matrix, panels
+from fusion_sfdia.report.sentences import left_out
+from fusion_sfdia.study import detection_metrics as metrics
+from fusion_sfdia.study.experiments.scenario import Scenario, Settings, Task
+from fusion_sfdia.study.isolation_metrics import (
     confusion,
     exact_isolation,
     false_flag_rate,
     isolation_precision,
     isolation_recall,
 )
-from fusion_sfdia.evaluation.metrics import mean_over_runs
-from fusion_sfdia.experiments.scenario import Scenario, Settings, Task
-from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
-from fusion_sfdia.report.content import Figure, Summary
-from fusion_sfdia.report.findings import left_out
-from fusion_sfdia.report.plots import isolation_matrix, panels
 
 PLANT_DT = 10.0  # s between readings (Shaheen 2024, sec. IV-A)
 

@@ -9,19 +9,19 @@ from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
 from fusion_sfdia.benchmarks.pipeline.support.trials import OURS, Results, common, grid, tasks, trial
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation import detection_metrics as metrics
-from fusion_sfdia.evaluation.estimation_metrics import root_mean_square
-from fusion_sfdia.evaluation.isolation_metrics import false_flag_rate, isolation_recall
-from fusion_sfdia.evaluation.metrics import Estimate
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
 from fusion_sfdia.models.gas_pipeline.physics import pipeline_parameters
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
+from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.content import Figure, Summary
-from fusion_sfdia.report.findings import left_out, listed, pick
+from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.plots import bars, legend_above, panels
+from fusion_sfdia.report.results import Row
+from fusion_sfdia.report.sentences import left_out, listed, pick
+from fusion_sfdia.study import detection_metrics as metrics
+from fusion_sfdia.study.estimation_metrics import root_mean_square
+from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task
+from fusion_sfdia.study.isolation_metrics import false_flag_rate, isolation_recall
 
 TRUTHS = ("the filter's model", "finer grid", "roughness +25 %", "ambient +1 K", "heat transfer +10 %", "all of these")
 NAMES = ("fusing-enkf", *OURS)

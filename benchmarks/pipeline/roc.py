@@ -21,14 +21,14 @@ from fusion_sfdia.benchmarks.pipeline.support.trials import (
     tasks,
     trial,
 )
-from fusion_sfdia.evaluation import detection_metrics as metrics
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Scenario, Settings, Task
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.models.gas_pipeline.published import FAULTS, QUANTITIES
 from fusion_sfdia.report.content import Figure, Summary
-from fusion_sfdia.report.findings import left_out, listed, pick, span
 from fusion_sfdia.report.plots import panels, roc_curves
+from fusion_sfdia.report.results import Row
+from fusion_sfdia.report.sentences import left_out, listed, pick, span
+from fusion_sfdia.study import detection_metrics as metrics
+from fusion_sfdia.study.experiments.scenario import Scenario, Settings, Task
 
 
 def roc_tasks(settings: Settings, seeds: int) -> list[Task]:

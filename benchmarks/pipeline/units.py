@@ -10,18 +10,18 @@ from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
 from fusion_sfdia.benchmarks.pipeline.support.trials import COMMON, Results, grid, tasks, trial
-from fusion_sfdia.builders import PAPER_UNITS
-from fusion_sfdia.evaluation.isolation_metrics import isolation_recall
-from fusion_sfdia.evaluation.metrics import Estimate
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
+from fusion_sfdia.detectors.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.filters.estimators import Estimator, Extended, Unscented
-from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.learning.builders import PAPER_UNITS
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.report.content import Figure, Summary
-from fusion_sfdia.report.findings import left_out, span
+from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.plots import bars, legend_above, panels
+from fusion_sfdia.report.results import Row
+from fusion_sfdia.report.sentences import left_out, span
+from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task
+from fusion_sfdia.study.isolation_metrics import isolation_recall
 
 VARIANTS: dict[str, tuple[str, Estimator, str]] = {  # detector, its filter, and what divides the states in (20)
     "EKF, paper's units": ("fusing-ekf", Extended(), "paper"),

@@ -8,13 +8,13 @@ from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, detection_rows, judged_runs, row
 from fusion_sfdia.benchmarks.pipeline.support.trials import COMMON, OURS, PAPER, Results, grid, tasks, trial
-from fusion_sfdia.evaluation.isolation_metrics import exact_isolation, false_flag_rate, isolation_recall
-from fusion_sfdia.evaluation.metrics import Estimate
-from fusion_sfdia.experiments.scenario import Scenario, Settings, Task
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.report.content import Figure, Summary
-from fusion_sfdia.report.findings import left_out, listed, pick
+from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.plots import bars, legend_above, panels
+from fusion_sfdia.report.sentences import left_out, listed, pick
+from fusion_sfdia.study.experiments.scenario import Scenario, Settings, Task
+from fusion_sfdia.study.isolation_metrics import exact_isolation, false_flag_rate, isolation_recall
 
 WEAK_FAULTS = ("bias-3-sigma", "bias-5-sigma", "drift-3-sigma")
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from fusion_sfdia.benchmarks.speed.support import against_filterpy
 from fusion_sfdia.benchmarks.speed.support.calls import ALARMING, QUIET, Call, repeated_step, time_row, timed, timed_rows
-from fusion_sfdia.builders import PAPER_FILTERS
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.kalman_banks.central_filter import CentralFilter
-from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
-from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.detectors.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.learning.builders import PAPER_FILTERS
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.report.results import Row
 
 FILTERPY_TIMED = 3  # of its filters, scaled to all of them: each costs the same
 ALARM, COMPILED = "alarm", "compiled model"  # conditions

@@ -29,8 +29,8 @@ from fusion_sfdia.benchmarks.speed import (
     stream,
     workers,
 )  # fmt: skip
-from fusion_sfdia.core.files import locked
-from fusion_sfdia.evaluation.results import Row, write_rows
+from fusion_sfdia.common.files import locked
+from fusion_sfdia.report.results import Row, write_rows
 
 SECONDS = 2.0  # of each call
 PARTS = {

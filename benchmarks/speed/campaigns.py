@@ -12,8 +12,8 @@ from functools import partial
 
 from fusion_sfdia.benchmarks.engine import noise
 from fusion_sfdia.benchmarks.speed.support.calls import Call, timed, timed_rows
-from fusion_sfdia.comparison import compare
-from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.report.results import Row
+from fusion_sfdia.study.comparison import compare
 
 RUNS, DURATION, LEVEL = 100, 2.0, 0.05
 SEEDS = 8

@@ -10,7 +10,7 @@ from importlib.util import find_spec
 
 from fusion_sfdia.benchmarks.speed.support.calls import time_row, timed, timed_rows, together
 from fusion_sfdia.benchmarks.speed.support.engine_modules import RUNS, codac_calls, detector, step_call
-from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.report.results import Row
 
 TOLERANCES = (0.1, 0.01)  # of set inversion, in noise bounds
 

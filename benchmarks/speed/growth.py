@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 from fusion_sfdia.benchmarks.speed.support.counting import Work, counted, growth
 from fusion_sfdia.benchmarks.speed.support.processes import printed
-from fusion_sfdia.evaluation.metrics import NOTHING
-from fusion_sfdia.evaluation.results import Row, row_of
+from fusion_sfdia.report.metrics import NOTHING
+from fusion_sfdia.report.results import Row, row_of
 
 Call = Callable[[], object]
 
@@ -28,9 +28,9 @@ COMMAND = (
 
 def sensors(detector: str, size: int) -> Call:
     """A step of a detector on so many coupled states, each with a sensor."""
-    from fusion_sfdia import registry
     from fusion_sfdia.benchmarks.speed.support.calls import repeated_step
     from fusion_sfdia.benchmarks.speed.support.coupled import coupled
+    from fusion_sfdia.detectors import registry
 
     return repeated_step(registry.detector(detector, coupled(size)))
 
@@ -54,9 +54,9 @@ def areas(size: int) -> Call:
 def seeds(size: int) -> Call:
     """The work of a comparison of one detector on one plant with so many seeds."""
     from fusion_sfdia.benchmarks.speed.support.coupled import coupled
-    from fusion_sfdia.comparison.compare import scenario_of
-    from fusion_sfdia.comparison.protocol import SETTINGS
-    from fusion_sfdia.comparison.subjects import Subjects, compared_plant
+    from fusion_sfdia.study.comparison.compare import scenario_of
+    from fusion_sfdia.study.comparison.protocol import SETTINGS
+    from fusion_sfdia.study.comparison.subjects import Subjects, compared_plant
 
     plant = compared_plant(coupled(2))
     scenario = scenario_of(Subjects(plants={plant.name: plant}))

@@ -15,9 +15,9 @@ from threadpoolctl import threadpool_info
 
 from fusion_sfdia import __version__
 from fusion_sfdia.benchmarks.speed.slower import Key, Ratio
-from fusion_sfdia.core.files import atomic_write
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.provenance import cores, git_commit, versions
+from fusion_sfdia.common.files import atomic_write
+from fusion_sfdia.report.results import Row
+from fusion_sfdia.study.experiments.provenance import cores, git_commit, versions
 
 NAMES = ("scenario", "plant", "detector", "quantity", "condition")
 CPUINFO = Path("/proc/cpuinfo")  # of Linux

@@ -18,13 +18,13 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from fusion_sfdia import registry
 from fusion_sfdia.benchmarks.speed.start import NUMPY
 from fusion_sfdia.benchmarks.speed.support.calls import Timed, time_row, timed_rows
 from fusion_sfdia.benchmarks.speed.support.processes import command, timed_process
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.evaluation.simulate import simulate
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.logs.csv_log import write_log
+from fusion_sfdia.report.results import Row
 
 SHORT, LONG = 120, (20_000, 200_000)
 BLOCK = 2_000  # rows that are simulated and repeated

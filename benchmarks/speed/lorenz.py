@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fusion_sfdia.benchmarks.speed.support.calls import time_row, timed, timed_rows
 from fusion_sfdia.benchmarks.speed.support.lorenz_96 import MODELS, lorenz_96, pairs
-from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.report.results import Row
 
 
 def measure(seconds: float) -> list[Row]:

@@ -8,8 +8,8 @@ import numpy as np
 
 from fusion_sfdia.benchmarks.speed.support.against_filterpy import numpy_model
 from fusion_sfdia.benchmarks.speed.support.calls import Call, timed, timed_rows
-from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
+from fusion_sfdia.report.results import Row
 
 BATCHES = (40, 127)  # members, and sigma points of 63 states
 

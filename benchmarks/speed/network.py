@@ -13,8 +13,8 @@ import numpy as np
 
 from fusion_sfdia.benchmarks.network.scale import DETECTOR, LONG, network_of, stepping
 from fusion_sfdia.benchmarks.speed.support.calls import time_row, timed, timed_rows
-from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.models.power_network.diagnosis import network_areas
+from fusion_sfdia.report.results import Row
 
 AREAS = (15, 1500, 150_000, 1_500_000)
 COPY = "copy of its arrays"

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia import registry
 from fusion_sfdia.benchmarks.speed.support.calls import Call, repeated_step, time_row, timed, timed_rows
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.signals import Sensor, Signal
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.evaluation.simulate import simulate
-from fusion_sfdia.named import diagnose
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.diagnosis.recorded import diagnose
+from fusion_sfdia.diagnosis.simulate import simulate
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.signals import Sensor, Signal
+from fusion_sfdia.report.results import Row
 
 Array = NDArray[Any]
 

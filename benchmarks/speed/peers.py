@@ -13,7 +13,7 @@ from importlib.util import find_spec
 
 from fusion_sfdia.benchmarks.speed.support.calls import Call, time_row, timed, timed_rows
 from fusion_sfdia.benchmarks.speed.support.peers import KINDS, PEERS
-from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.report.results import Row
 
 HAND = "NumPy by hand"
 

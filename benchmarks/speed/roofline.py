@@ -24,16 +24,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia import registry
 from fusion_sfdia.benchmarks.speed.support.arithmetic import arithmetic
 from fusion_sfdia.benchmarks.speed.support.calls import COPY, Call, reference, repeated_step, time_row, timed, timed_rows
 from fusion_sfdia.benchmarks.speed.support.processes import printed
-from fusion_sfdia.core.alike import single
-from fusion_sfdia.core.detector import Detector, NotApplicableError
-from fusion_sfdia.core.equation import compiled
-from fusion_sfdia.core.silent import silent
-from fusion_sfdia.core.state import State, leaves
-from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.common.alike import single
+from fusion_sfdia.common.equation import compiled
+from fusion_sfdia.common.errors import NotApplicableError
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.detectors.detector import Detector
+from fusion_sfdia.detectors.silent import silent
+from fusion_sfdia.detectors.state import State, leaves
+from fusion_sfdia.report.results import Row
 
 Array = NDArray[Any]
 

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia import registry
 from fusion_sfdia.benchmarks.speed.support.calls import (
     QUIET,
     Call,
@@ -25,14 +24,15 @@ from fusion_sfdia.benchmarks.speed.support.calls import (
     timed_rows,
 )
 from fusion_sfdia.benchmarks.speed.support.coupled import coupled
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.detectors.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.filters import enkf
 from fusion_sfdia.filters.estimators import Extended
 from fusion_sfdia.filters.gaussian import sample
-from fusion_sfdia.kalman_banks.central_filter import CentralFilter
-from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.report.results import Row
 
 Array = NDArray[Any]
 

@@ -9,7 +9,7 @@ from functools import partial
 
 from fusion_sfdia.benchmarks.speed.support.calls import Call, time_row, timed, timed_rows
 from fusion_sfdia.benchmarks.speed.support.processes import command, timed_process
-from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.report.results import Row
 
 NUMPY = "import numpy"
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from functools import partial
 
-from fusion_sfdia import registry
 from fusion_sfdia.benchmarks.speed.support.calls import PRODUCT, Call, repeated_step, time_row, timed, timed_rows
-from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.report.results import Row
 
 DETECTORS = ("loo-glr", "robust-glr")
 STREAM, MODEL_STEP = "one stream", "model step"

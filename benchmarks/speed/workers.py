@@ -21,11 +21,11 @@ import numpy as np
 
 from fusion_sfdia.benchmarks.speed.support.calls import time_row
 from fusion_sfdia.benchmarks.speed.support.local_cluster import secure_cluster
-from fusion_sfdia.comparison.compare import SCENARIO
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.cluster import connected
-from fusion_sfdia.experiments.scenario import Arrays, Task
-from fusion_sfdia.experiments.workers import Done, Piece, work_off
+from fusion_sfdia.report.results import Row
+from fusion_sfdia.study.comparison.compare import SCENARIO
+from fusion_sfdia.study.experiments.cluster import connected
+from fusion_sfdia.study.experiments.scenario import Arrays, Task
+from fusion_sfdia.study.experiments.workers import Done, Piece, work_off
 
 PIECES, EMPTY = 16, 200
 COUNTS = (1, 2)

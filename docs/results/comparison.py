@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
-from fusion_sfdia import registry
+from fusion_sfdia.detectors import registry
 
 HERE = Path(__file__).parent
 FALSE_ISOLATION = "false_isolation_probability"  # the metric

@@ -8,7 +8,7 @@ from statistics import mean
 import comparison  # beside this file
 import robustness
 
-from fusion_sfdia import registry
+from fusion_sfdia.detectors import registry
 
 Row = comparison.Row
 FROM_DATA = ("limits", "limits-ewma", "pca", "dynamic-pca", "one-class")

@@ -10,9 +10,9 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from fusion_sfdia import registry
-from fusion_sfdia.evaluation.fault_kinds import KINDS
-from fusion_sfdia.evaluation.kind_trials import OTHERS, kind_trials
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.diagnosis.fault_kinds import KINDS
+from fusion_sfdia.study.kind_trials import OTHERS, kind_trials
 
 HERE = Path(__file__).parent
 NUMBERS, PAGE = HERE / "fault-kinds.csv", HERE / "fault-kinds.md"

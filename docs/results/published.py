@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from fusion_sfdia.evaluation.results import AT_MOST, Row, read_rows, rounded, write_rows
 from fusion_sfdia.report.figure_files import figure_svg
+from fusion_sfdia.report.results import AT_MOST, Row, read_rows, rounded, write_rows
 
 HERE = Path(__file__).parent
 NUMBERS, PAGE, REASONS = (HERE / f"published.{kind}" for kind in ("csv", "md", "toml"))

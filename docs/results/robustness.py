@@ -10,8 +10,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from fusion_sfdia.evaluation.results import Row, read_rows, rounded, write_rows
 from fusion_sfdia.report.content import Table
+from fusion_sfdia.report.results import Row, read_rows, rounded, write_rows
 from fusion_sfdia.study.audit import RIGHT_EVENT
 from fusion_sfdia.study.robustness_report import (
     DEFAULT,

@@ -16,7 +16,7 @@ from textwrap import fill
 import numpy as np
 
 from fusion_sfdia.benchmarks.speed.growth import ABOVE, CASES
-from fusion_sfdia.evaluation.results import Row, read_rows, rounded, write_rows
+from fusion_sfdia.report.results import Row, read_rows, rounded, write_rows
 
 HERE = Path(__file__).parent
 NUMBERS, PAGE, FIGURE = HERE / "speed.csv", HERE / "speed.md", HERE / "speed-scaling.svg"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fusion_sfdia.cli.options import add_detector, add_names, add_plant, add_tuned
-from fusion_sfdia.core.numerals import integer
+from fusion_sfdia.common.numerals import integer
 
 
 def add_audit(commands: Any) -> None:
@@ -39,11 +39,11 @@ def add_audit(commands: Any) -> None:
 
 def _audit(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.cli.tune import bound_detector
-    from fusion_sfdia.evaluation.results import as_json, write_rows
-    from fusion_sfdia.experiments.provenance import cores
     from fusion_sfdia.report.progress import progress
+    from fusion_sfdia.report.results import as_json, write_rows
     from fusion_sfdia.study.audit import audit
-    from fusion_sfdia.study.protocol import GROUPS
+    from fusion_sfdia.study.error_protocol import GROUPS
+    from fusion_sfdia.study.experiments.provenance import cores
 
     if chosen.out is not None and (chosen.out.is_dir() or (chosen.out.is_file() and not chosen.force)):
         raise ValueError(f"{chosen.out} exists; name another file with --out, or replace it with --force")

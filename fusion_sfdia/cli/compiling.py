@@ -13,7 +13,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from fusion_sfdia.experiments.provenance import cores
+from fusion_sfdia.study.experiments.provenance import cores
 
 OWN = "fusion_sfdia."
 MANY = 16  # sensors, with which the code for large plants is compiled: of small ones it is the plant that takes long
@@ -72,7 +72,7 @@ def started(detector: str) -> Any:
 
 def nothing_compiled() -> bool:
     """Whether compiled code will be kept beside the modules, or in the folder set for it, and none is there yet."""
-    own, beside = os.environ.get("NUMBA_CACHE_DIR"), Path(__file__).parents[1] / "core"  # every diagnosis compiles some of it
+    own, beside = os.environ.get("NUMBA_CACHE_DIR"), Path(__file__).parents[1] / "plant"  # every diagnosis compiles some of it
     return bool(own or os.access(beside, os.W_OK)) and not any(Path(own or beside).glob("**/*.nbi"))
 
 
@@ -86,9 +86,9 @@ def compile_detector(name: str) -> None:
     gc.disable()
     import numpy as np
 
-    from fusion_sfdia import registry
-    from fusion_sfdia.core.linear import linear_plant
-    from fusion_sfdia.core.signals import Sensor
+    from fusion_sfdia.detectors import registry
+    from fusion_sfdia.plant.linear import linear_plant
+    from fusion_sfdia.plant.signals import Sensor
 
     one = np.eye(MANY)
     sensors = [Sensor(f"y_{i}", f"x_{i}", "1", sigma=1.0) for i in range(MANY)]

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 SHELLS = ("bash", "zsh", "fish")
 
 
-def add_completion(commands: Any) -> None:
-    """Add `completion`."""
+def add_completion(commands: Any, top: argparse.ArgumentParser) -> None:
+    """Add `completion` of the parser that has these commands."""
     one = commands.add_parser(
         "completion",
         help="print what a shell needs to complete commands, options and names",
@@ -19,13 +20,12 @@ def add_completion(commands: Any) -> None:
         allow_abbrev=False,
     )
     one.add_argument("shell", choices=SHELLS)
-    one.set_defaults(work=_completion)
+    one.set_defaults(work=partial(_completion, top))
 
 
-def _completion(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia import registry
-    from fusion_sfdia.cli.main import parser
-    from fusion_sfdia.core.detector import MissingPackageError
+def _completion(top: argparse.ArgumentParser, chosen: argparse.Namespace) -> int:
+    from fusion_sfdia.common.errors import MissingPackageError
+    from fusion_sfdia.detectors import registry
 
     try:
         import shtab
@@ -34,7 +34,6 @@ def _completion(chosen: argparse.Namespace) -> int:
             "completion needs shtab, which is not installed; install it with: pip install 'fusion-sfdia[completion]'"
         ) from error
 
-    top = parser()
     names = {"plant": sorted(registry.plants()), "detector": sorted(registry.detectors())}
     (commands,) = (action for action in top._actions if action.dest == "command")
     for one in dict(commands.choices or {}).values():

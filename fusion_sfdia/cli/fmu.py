@@ -16,7 +16,7 @@ def add_fmu(commands: Any) -> None:
 
 
 def _fmu(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.fmu.settings import describe
+    from fusion_sfdia.plant.fmu.settings import describe
 
     print(describe(chosen.path, chosen.kind))
     return 0

@@ -30,8 +30,8 @@ def add_init(commands: Any) -> None:
 
 
 def _init(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia import registry
-    from fusion_sfdia.core.files import atomic_write
+    from fusion_sfdia.common.files import atomic_write
+    from fusion_sfdia.detectors import registry
     from fusion_sfdia.logs.draft import draft_map, settle
     from fusion_sfdia.logs.problems import LogError
     from fusion_sfdia.report.skeleton import skeleton, skeleton_plant

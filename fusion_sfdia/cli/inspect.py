@@ -31,7 +31,7 @@ def add_inspect(commands: Any) -> None:
 
 
 def _inspect(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.core.files import locked
+    from fusion_sfdia.common.files import locked
 
     with nullcontext() if chosen.out is None else locked(chosen.out, force=chosen.force):
         return _inspected(chosen)
@@ -39,10 +39,10 @@ def _inspect(chosen: argparse.Namespace) -> int:
 
 def _inspected(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.cli.tune import chosen_plant, tuned_entry
-    from fusion_sfdia.core.files import all_or_none, atomic_write
-    from fusion_sfdia.core.plain_text import plain
-    from fusion_sfdia.inspection.inspection import inspect_plant
-    from fusion_sfdia.inspection.text import as_json, as_text
+    from fusion_sfdia.common.files import all_or_none, atomic_write
+    from fusion_sfdia.common.plain_text import plain
+    from fusion_sfdia.learning.inspection.inspect_plant import inspect_plant
+    from fusion_sfdia.learning.inspection.inspection import as_json, as_text
     from fusion_sfdia.report.progress import progress
 
     if chosen.detector is not None and chosen.tuned is None:

@@ -6,7 +6,8 @@ import argparse
 import json
 from typing import Any
 
-from fusion_sfdia import registry, scenarios
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.study import scenarios
 
 KINDS = ("plants", "detectors", "faults", "scenarios")
 DRAWN = "at random, with simulate --fault NAME[:QUANTITY]"
@@ -65,8 +66,8 @@ def entries(kind: str) -> list[dict[str, str]]:
                 for e in registry.detectors().values()
             ]
         case "faults":
-            from fusion_sfdia.evaluation.fault_draws import PRESETS
-            from fusion_sfdia.evaluation.faults import FAULT_KINDS
+            from fusion_sfdia.diagnosis.fault_draws import PRESETS
+            from fusion_sfdia.diagnosis.faults import FAULT_KINDS
 
             drawn = [{"name": name, "about": preset.description, "use": DRAWN} for name, preset in PRESETS.items()]
             return drawn + [{"name": name, "about": about, "use": LISTED} for name, about in FAULT_KINDS.items()]

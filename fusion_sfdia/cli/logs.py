@@ -24,8 +24,8 @@ from fusion_sfdia.cli.options import (
     kept_monitor,
     printed_warnings,
 )
-from fusion_sfdia.core.numerals import for_json, integer
-from fusion_sfdia.registry import COMMISSIONED
+from fusion_sfdia.common.numerals import for_json, integer
+from fusion_sfdia.detectors.registry import COMMISSIONED
 
 
 def add_simulate(commands: Any) -> None:
@@ -118,10 +118,10 @@ def _check_log(chosen: argparse.Namespace) -> int:
 
 def _simulate(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.cli.tune import chosen_plant
-    from fusion_sfdia.evaluation.fault_draws import draw_apart
-    from fusion_sfdia.evaluation.fault_effects import apply_faults, magnitude_of
-    from fusion_sfdia.evaluation.faults import load_faults
-    from fusion_sfdia.evaluation.simulate import simulate
+    from fusion_sfdia.diagnosis.fault_draws import draw_apart
+    from fusion_sfdia.diagnosis.fault_effects import apply_faults, magnitude_of
+    from fusion_sfdia.diagnosis.faults import load_faults
+    from fusion_sfdia.diagnosis.simulate import simulate
     from fusion_sfdia.logs.csv_log import write_log
 
     if chosen.out.is_dir():
@@ -167,9 +167,9 @@ def _fault(text: str, plant: Any) -> tuple[str, str | None]:
     """Return the preset and the quantity (None: any) of "weak-bias:pressure"; ValueError for an unknown preset, and with the
     text of a file for a kind.
     """
-    from fusion_sfdia.evaluation.fault_draws import PRESETS
-    from fusion_sfdia.evaluation.faults import FAULT_KINDS
-    from fusion_sfdia.registry import require_known
+    from fusion_sfdia.detectors.registry import require_known
+    from fusion_sfdia.diagnosis.fault_draws import PRESETS
+    from fusion_sfdia.diagnosis.faults import FAULT_KINDS
 
     name, colon, quantity = text.partition(":")
     if name in FAULT_KINDS:
@@ -184,7 +184,7 @@ def _fault(text: str, plant: Any) -> tuple[str, str | None]:
 
 def _listed(kind: str, sensor: str, plant: Any) -> str:
     """A file with a fault of this kind, in one line: of the sensor, if it is one, of ten of its sigma or a factor of 1.1."""
-    from fusion_sfdia.evaluation.faults import WITHOUT_MAGNITUDE
+    from fusion_sfdia.diagnosis.faults import WITHOUT_MAGNITUDE
 
     name = sensor if sensor in plant.sensor_names else plant.sensor_names[0]
     size = 1.1 if kind == "scale" else 10 * plant.sensors[plant.sensor_index(name)].noise_sigma
@@ -196,9 +196,9 @@ def _diagnose(chosen: argparse.Namespace) -> int:
     if chosen.monitor is not None:
         return _by_monitor(chosen)
     from fusion_sfdia.cli.tune import diagnosing_detector
-    from fusion_sfdia.core.files import locked
+    from fusion_sfdia.common.files import locked
+    from fusion_sfdia.detectors.registry import detector
     from fusion_sfdia.logs.check import check_log
-    from fusion_sfdia.registry import detector
     from fusion_sfdia.report.document import as_json
     from fusion_sfdia.report.log_page import About
     from fusion_sfdia.report.log_report import as_text, diagnose_log, files

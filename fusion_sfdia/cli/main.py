@@ -24,13 +24,13 @@ from fusion_sfdia.cli.logs import add_check_log, add_diagnose, add_simulate
 from fusion_sfdia.cli.monitor import add_monitor
 from fusion_sfdia.cli.options import OnceParser, named_detector
 from fusion_sfdia.cli.papers import add_papers
-from fusion_sfdia.cli.runs import add_compare, add_run
+from fusion_sfdia.cli.scenarios import add_compare, add_run
 from fusion_sfdia.cli.signals import handled
 from fusion_sfdia.cli.speed import add_bench
 from fusion_sfdia.cli.tune import add_tune
 from fusion_sfdia.cli.watch import add_watch
-from fusion_sfdia.core.plain_text import PlainStream
-from fusion_sfdia.core.references import is_reference
+from fusion_sfdia.common.plain_text import PlainStream
+from fusion_sfdia.common.references import is_reference
 
 
 def parser() -> argparse.ArgumentParser:
@@ -60,7 +60,7 @@ def parser() -> argparse.ArgumentParser:
     add_fmu(commands)
     add_monitor(commands)
     add_bench(commands)
-    add_completion(commands)
+    add_completion(commands, top)
     return top
 
 
@@ -138,7 +138,7 @@ def _done(chosen: argparse.Namespace) -> int:
     except (ValueError, ArithmeticError, OSError, RuntimeError, MemoryError, ModuleNotFoundError) as error:
         if chosen.interruption.number:
             raise
-        from fusion_sfdia.core.files import explained
+        from fusion_sfdia.common.files import explained
         from fusion_sfdia.logs.problems import LogError
 
         text = str(error) if isinstance(error, LogError) else " ".join(explained(error).split())

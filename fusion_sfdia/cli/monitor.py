@@ -10,7 +10,7 @@ from textwrap import indent
 from typing import Any
 
 from fusion_sfdia.cli.options import add_absent_sensors, add_ending, add_names, add_tables, exit_code, printed_warnings
-from fusion_sfdia.core.numerals import integer
+from fusion_sfdia.common.numerals import integer
 
 
 def add_monitor(commands: Any) -> None:
@@ -82,7 +82,7 @@ def _monitor(chosen: argparse.Namespace) -> int:
 
 def _learnt(chosen: argparse.Namespace, say: Any) -> Any:
     """The monitor: read, or learnt and, where that is asked for, saved."""
-    from fusion_sfdia.learning.monitor import FALSE_ALARM, Monitor
+    from fusion_sfdia.learning.monitor.monitor import FALSE_ALARM, Monitor
 
     if chosen.monitor and not chosen.update:
         return Monitor.load(chosen.monitor)
@@ -99,14 +99,14 @@ def _learnt(chosen: argparse.Namespace, say: Any) -> Any:
 
 def monitored(chosen: argparse.Namespace, out: Path, learnt: Any, say: Any) -> int:
     """Diagnose the log `chosen.data` into a folder, with the monitor that `learnt` gives."""
-    from fusion_sfdia.core.files import all_or_none, atomic_write, locked
-    from fusion_sfdia.core.plain_text import plain
+    from fusion_sfdia.common.files import all_or_none, atomic_write, locked
+    from fusion_sfdia.common.plain_text import plain
     from fusion_sfdia.report.document import as_json
     from fusion_sfdia.report.log_page import About
     from fusion_sfdia.report.log_report import OF_BEFORE, OWN_FILE, files, require_apart, write_diagnosis
     from fusion_sfdia.report.log_units import LogUnits
     from fusion_sfdia.report.progress import working
-    from fusion_sfdia.report.tables import require_tables
+    from fusion_sfdia.report.sample_tables import require_tables
 
     suffix = f".{chosen.tables}"
     require_apart(chosen.data, out)

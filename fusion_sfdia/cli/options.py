@@ -10,12 +10,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion_sfdia.registry import COMMISSIONED, DEFAULT_DETECTOR
+from fusion_sfdia.detectors.registry import COMMISSIONED, DEFAULT_DETECTOR
 
 if TYPE_CHECKING:
-    from fusion_sfdia.core.plant import Plant
-    from fusion_sfdia.evaluation.diagnose import Diagnosis
-    from fusion_sfdia.logs.findings import LoadedLog
+    from fusion_sfdia.diagnosis.diagnose import Diagnosis
+    from fusion_sfdia.logs.loaded_log import LoadedLog
+    from fusion_sfdia.plant.plant import Plant
 
 WHICH = "a name that `list` shows, module:attribute or path/file.py:attribute"
 OR_TUNED = f"{DEFAULT_DETECTOR}, or that of --tuned where `list` shows it"
@@ -52,7 +52,7 @@ def add_kept_monitor(one: Any) -> None:
 
 def kept_monitor(chosen: argparse.Namespace) -> Any:
     """The monitor of --monitor; ValueError where a plant or a detector is stated beside it."""
-    from fusion_sfdia.learning.monitor import Monitor
+    from fusion_sfdia.learning.monitor.monitor import Monitor
 
     stated = {"--detector": chosen.detector, "--tuned": chosen.tuned, "--healthy": getattr(chosen, "healthy", None)}
     stated |= {f"--{name.replace('_', '-')}": getattr(chosen, name) for name in OF_COLUMNS if name != "absent_sensors"}
@@ -113,8 +113,8 @@ def exit_code(chosen: argparse.Namespace, found: Diagnosis, read: LoadedLog) -> 
     """The exit code of a diagnosis: 1 where the log could not be judged or was misread, 3 where what --fail-on names was found,
     whatever else is undecided, else 0.
     """
-    from fusion_sfdia.core.verdicts import Verdict
-    from fusion_sfdia.evaluation.events import EVEN
+    from fusion_sfdia.detectors.verdicts import Verdict
+    from fusion_sfdia.diagnosis.events import EVEN
 
     state, likely = found.state, {e.kind for e in found.events if not e.confidence < EVEN}
     holds = {

@@ -11,7 +11,7 @@ PAPERS = ("shaheen2024", "kougiatsos2024", "kougiatsos2022", "virtual2022", "boe
 
 def add_papers(commands: Any) -> None:
     """Add `papers`."""
-    from fusion_sfdia.cli.runs import add_common
+    from fusion_sfdia.cli.scenarios import add_common
 
     one = commands.add_parser(
         "papers",
@@ -26,10 +26,10 @@ def add_papers(commands: Any) -> None:
 
 
 def _papers(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.cli.runs import changed_settings, reported
-    from fusion_sfdia.evaluation.results import write_rows
-    from fusion_sfdia.experiments.runner import run_scenarios
-    from fusion_sfdia.scenarios import SCENARIOS, scenario
+    from fusion_sfdia.cli.scenarios import changed_settings, reported
+    from fusion_sfdia.report.results import write_rows
+    from fusion_sfdia.study.experiments.runner import run_scenarios
+    from fusion_sfdia.study.scenarios import SCENARIOS, scenario
 
     found = [scenario(name) for name in SCENARIOS]
     papers = [s for s in found if s.papers and (chosen.paper is None or chosen.paper in s.papers)]

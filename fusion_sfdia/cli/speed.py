@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from fusion_sfdia.core.numerals import decimal
+from fusion_sfdia.common.numerals import decimal
 
 
 def add_bench(commands: Any) -> None:
@@ -33,7 +33,7 @@ def add_bench(commands: Any) -> None:
 
 def _bench(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.benchmarks.speed import bench, growth, history, slower
-    from fusion_sfdia.evaluation.results import as_json
+    from fusion_sfdia.report.results import as_json
 
     before = [] if chosen.against is None else history.alike(history.read(chosen.against), chosen.against)
     if chosen.history is not None and chosen.history.exists():

@@ -21,11 +21,11 @@ from fusion_sfdia.cli.options import (
     warn,
     warn_of,
 )
-from fusion_sfdia.registry import COMMISSIONED, DEFAULT_DETECTOR
+from fusion_sfdia.detectors.registry import COMMISSIONED, DEFAULT_DETECTOR
 
 if TYPE_CHECKING:
-    from fusion_sfdia.core.plant import Plant
-    from fusion_sfdia.registry import NamedDetector
+    from fusion_sfdia.detectors.registry import NamedDetector
+    from fusion_sfdia.plant.plant import Plant
 
 
 def add_tune(commands: Any) -> None:
@@ -53,7 +53,7 @@ def add_tune(commands: Any) -> None:
 
 def tuned_plant(plant: Plant, file: Path) -> Plant:
     """The plant with what a tuned file has learnt; ValueError, which names the file, where it is of another plant."""
-    from fusion_sfdia.tuning.tuned import Tuned
+    from fusion_sfdia.learning.tuning.tuned import Tuned
 
     found = Tuned.read(file)
     try:
@@ -65,7 +65,7 @@ def tuned_plant(plant: Plant, file: Path) -> Plant:
 
 def chosen_plant(chosen: argparse.Namespace) -> Plant:
     """The plant of --plant, with what the file of --tuned has learnt where one is given."""
-    from fusion_sfdia.registry import plant
+    from fusion_sfdia.detectors.registry import plant
 
     made = plant(chosen.plant)
     return made if chosen.tuned is None else tuned_plant(made, chosen.tuned)
@@ -73,7 +73,7 @@ def chosen_plant(chosen: argparse.Namespace) -> Plant:
 
 def tuned_entry(plant: str, detector: str | None, file: Path) -> NamedDetector:
     """The detector of a tuned file under its name; what there is to warn of, `tuned_plant` says."""
-    from fusion_sfdia import registry
+    from fusion_sfdia.detectors import registry
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
@@ -83,12 +83,12 @@ def tuned_entry(plant: str, detector: str | None, file: Path) -> NamedDetector:
 
 def bound_detector(plant: str, detector: str | None, tuned: Path | None) -> tuple[str, Any]:
     """Name and object of a detector on a plant: of a tuned file, or as registered (the default where none is named)."""
-    from fusion_sfdia import registry
+    from fusion_sfdia.detectors import registry
 
     if tuned is None:
         name = detector or DEFAULT_DETECTOR
         return name, registry.detector(name, registry.plant(plant))
-    from fusion_sfdia.tuning.tuned import Tuned
+    from fusion_sfdia.learning.tuning.tuned import Tuned
 
     found = Tuned.read(tuned)
     try:
@@ -103,9 +103,9 @@ def diagnosing_detector(chosen: argparse.Namespace) -> tuple[str, Any, Any]:
     """Name and object of the detector of `diagnose`; tuned on the stretch --healthy of the log, also that log, else None."""
     if chosen.healthy is None:
         return *bound_detector(chosen.plant, chosen.detector, chosen.tuned), None
-    from fusion_sfdia import registry
+    from fusion_sfdia.detectors import registry
+    from fusion_sfdia.learning.tuning.stretch import on_stretch
     from fusion_sfdia.logs.check import check_log, without_suspects
-    from fusion_sfdia.tuning.stretch import on_stretch
 
     if chosen.tuned:
         raise ValueError("--tuned and --healthy both state what is healthy; give one")
@@ -118,17 +118,17 @@ def diagnosing_detector(chosen: argparse.Namespace) -> tuple[str, Any, Any]:
 
 
 def _tune(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.core.files import locked_file
+    from fusion_sfdia.common.files import locked_file
 
     with locked_file(chosen.out):
         return _tuned(chosen)
 
 
 def _tuned(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.registry import plant
+    from fusion_sfdia.detectors.registry import plant
+    from fusion_sfdia.learning.tuning.tune import Source, tune
+    from fusion_sfdia.learning.tuning.words import as_text
     from fusion_sfdia.report.progress import working
-    from fusion_sfdia.tuning.tune import Source, tune
-    from fusion_sfdia.tuning.words import as_text
 
     if chosen.out.is_dir() or (chosen.out.is_file() and not chosen.force):
         raise ValueError(f"{chosen.out} exists; name another file with --out, or replace it with --force")

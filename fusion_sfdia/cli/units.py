@@ -18,8 +18,8 @@ TABLE, PAGE = "units.csv", "units.html"
 
 def diagnose_units(chosen: argparse.Namespace) -> int:
     """Learn and diagnose the logs of --units, and write a table and a page."""
-    from fusion_sfdia.core.files import all_or_none, locked
-    from fusion_sfdia.learning.monitor import FALSE_ALARM
+    from fusion_sfdia.common.files import all_or_none, locked
+    from fusion_sfdia.learning.monitor.monitor import FALSE_ALARM
     from fusion_sfdia.report.units_page import COLUMNS, write_units
 
     beside = {"--healthy": chosen.healthy, "--monitor": chosen.monitor, "--data": chosen.data, "--save": chosen.save}
@@ -71,9 +71,9 @@ def _paths(given: str) -> list[Path]:
 @contextmanager
 def _at_work(chosen: argparse.Namespace) -> Iterator[Any]:
     """A function that does pieces of work, in processes or on a dask cluster."""
-    from fusion_sfdia.experiments.cluster import connected
-    from fusion_sfdia.experiments.provenance import cores
-    from fusion_sfdia.experiments.workers import work_off
+    from fusion_sfdia.study.experiments.cluster import connected
+    from fusion_sfdia.study.experiments.provenance import cores
+    from fusion_sfdia.study.experiments.workers import work_off
 
     with connected(chosen.scheduler) if chosen.scheduler else nullcontext() as on_cluster:
         yield on_cluster or partial(work_off, workers=chosen.workers or cores())
@@ -81,12 +81,12 @@ def _at_work(chosen: argparse.Namespace) -> Iterator[Any]:
 
 def _diagnosed(paths: list[Path], settings: Mapping[str, Any], folder: Path, work_off: Any) -> tuple[list[Any], list[Any]]:
     """A row of each unit, and the units that differ."""
-    from fusion_sfdia.core.signals import Signal
-    from fusion_sfdia.experiments.parts import read_part
-    from fusion_sfdia.experiments.workers import Piece
-    from fusion_sfdia.learning.units import differing
+    from fusion_sfdia.learning.monitor.compared_units import differing
+    from fusion_sfdia.plant.signals import Signal
     from fusion_sfdia.report.progress import progress
     from fusion_sfdia.report.units_page import UnitRow
+    from fusion_sfdia.study.experiments.parts import read_part
+    from fusion_sfdia.study.experiments.workers import Piece
 
     parts = {folder / f"{k}.npz": path for k, path in enumerate(paths)}
     pieces = [Piece(part, _unit, {**settings, "log": path.absolute()}) for part, path in parts.items()]
@@ -112,16 +112,16 @@ def _unit(task: Mapping[str, Any]) -> dict[str, Any]:
     """Learn and diagnose one unit, in a process of its own."""
     import numpy as np
 
-    from fusion_sfdia.core.clock import within
-    from fusion_sfdia.core.log import Log
-    from fusion_sfdia.evaluation.events import EVEN
-    from fusion_sfdia.learning.channels import pieces_of
-    from fusion_sfdia.learning.diagnosis import JOINED
-    from fusion_sfdia.learning.monitor import Monitor
-    from fusion_sfdia.learning.units import means_of
-    from fusion_sfdia.learning.unmodelled_logs import load, signals_of
-    from fusion_sfdia.logs.findings import counted
+    from fusion_sfdia.common.clock import within
+    from fusion_sfdia.diagnosis.events import EVEN
+    from fusion_sfdia.learning.monitor.channels import pieces_of
+    from fusion_sfdia.learning.monitor.compared_units import means_of
+    from fusion_sfdia.learning.monitor.monitor import Monitor
+    from fusion_sfdia.learning.monitor.row_verdicts import JOINED
+    from fusion_sfdia.learning.monitor.unmodelled_logs import load, signals_of
+    from fusion_sfdia.logs.loaded_log import counted
     from fusion_sfdia.logs.log_map import PLAIN_MAP, load_map
+    from fusion_sfdia.plant.log import Log
 
     log_map = PLAIN_MAP if task["log_map"] is None else load_map(task["log_map"])
     sensors, inputs = signals_of(task["log"], task["inputs"], task["ignore"], log_map)

@@ -20,7 +20,7 @@ from fusion_sfdia.cli.options import (
     columns,
     kept_monitor,
 )
-from fusion_sfdia.core.numerals import decimal, integer
+from fusion_sfdia.common.numerals import decimal, integer
 
 if TYPE_CHECKING:
     from fusion_sfdia.live.saving import SavedWatch
@@ -92,7 +92,7 @@ def add_watch(commands: Any) -> None:
 
 def _watch(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.cli.signals import ended_in_time
-    from fusion_sfdia.core.files import locked_file
+    from fusion_sfdia.common.files import locked_file
 
     if chosen.state is not None and not chosen.state.absolute().parent.is_dir():
         raise ValueError(f"--state {chosen.state}: there is no folder {chosen.state.parent}; make it, or name another file")
@@ -105,11 +105,11 @@ def _watch(chosen: argparse.Namespace) -> int:
 
 def _watched(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.cli.tune import bound_detector
-    from fusion_sfdia.live.remarks import Remarks
+    from fusion_sfdia.diagnosis.watch import Watch
+    from fusion_sfdia.live.left_out_lines import Remarks
     from fusion_sfdia.live.saving import SavedWatch
     from fusion_sfdia.live.security import SCHEMES, address
     from fusion_sfdia.live.status import Status, beating, endpoint, served
-    from fusion_sfdia.live.watch import Watch
     from fusion_sfdia.logs.log_map import AT_THE_SAMPLE, PLAIN_MAP, load_map
 
     for option, seconds in (("status-every", chosen.status_every), ("silent-after", chosen.silent_after)):
@@ -171,7 +171,7 @@ def _watched(chosen: argparse.Namespace) -> int:
 
 
 def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap) -> None:
-    from fusion_sfdia.live.rows import TextRows, lines
+    from fusion_sfdia.live.text_rows import TextRows, lines
 
     watch = saved.watch
     allowed = columns(chosen) if chosen.monitor is None else {"other_columns": True, "absent_sensors": chosen.absent_sensors}

@@ -18,7 +18,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import number, whole
+from fusion_sfdia.common.arguments import number, whole
 from fusion_sfdia.filters.gaussian import Joint, add, half_inverse, inverse, sample, whiten
 
 Array = NDArray[Any]

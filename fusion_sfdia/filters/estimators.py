@@ -12,10 +12,9 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.alike import for_all, repeated, single
-from fusion_sfdia.core.arguments import shown, whole
-from fusion_sfdia.core.detector import NotApplicableError
-from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.common.alike import for_all, repeated, single
+from fusion_sfdia.common.arguments import shown, whole
+from fusion_sfdia.common.errors import NotApplicableError
 from fusion_sfdia.filters import ekf, enkf, gaussian, particle, ukf
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.filters.guarded_steps import (
@@ -25,6 +24,7 @@ from fusion_sfdia.filters.guarded_steps import (
     readings_of_points,
 )
 from fusion_sfdia.filters.repeated import repeated_readings
+from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 Core = Any  # GaussianState or EnsembleState

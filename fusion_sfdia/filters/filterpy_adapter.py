@@ -23,12 +23,11 @@ from filterpy.kalman import (
 )
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.equation import difference_jacobian
-from fusion_sfdia.core.linear import constant, linear_plant
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.plant_groups import Numerics
-from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.common.equation import difference_jacobian
 from fusion_sfdia.filters.ukf import SigmaPoints
+from fusion_sfdia.plant.linear import constant, linear_plant
+from fusion_sfdia.plant.plant import Numerics, Plant
+from fusion_sfdia.plant.signals import Sensor, Signal
 
 Array = NDArray[Any]
 One = Callable[[Array], Array]  # of one state (n,)

@@ -21,7 +21,6 @@ from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, Unscen
 from numpy.typing import NDArray
 from scipy.linalg import cholesky
 
-from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters.estimators import Core, GaussianState, Moments, Prior
 from fusion_sfdia.filters.gaussian import Joint, dense, square_root
 from fusion_sfdia.filters.guarded_steps import (
@@ -32,6 +31,7 @@ from fusion_sfdia.filters.guarded_steps import (
     readings_of,
 )
 from fusion_sfdia.filters.ukf import SigmaPoints
+from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 One = Callable[[tuple[int, ...]], tuple[Array, ...]]  # of the run at an index of a batch

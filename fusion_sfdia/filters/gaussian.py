@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.blas import dtrsm
 
-from fusion_sfdia.core.alike import repeated, single
-from fusion_sfdia.core.covariance import dense as dense
-from fusion_sfdia.core.covariance import on_diagonal as on_diagonal
+from fusion_sfdia.common.alike import repeated, single
+from fusion_sfdia.common.covariance import dense as dense
+from fusion_sfdia.common.covariance import on_diagonal as on_diagonal
 from fusion_sfdia.filters.factors import half_inverses
 from fusion_sfdia.filters.repeated import Repeated
 from fusion_sfdia.filters.sums import difference

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.limits import finite
-from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.plant.limits import finite
+from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.alike import single
-from fusion_sfdia.core.arguments import number
+from fusion_sfdia.common.alike import single
+from fusion_sfdia.common.arguments import number
 from fusion_sfdia.filters.gaussian import Joint, add, square_root, symmetrise
 from fusion_sfdia.filters.sums import symmetric_sum
 

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.clock import Clock
-from fusion_sfdia.core.detector import Detector
-from fusion_sfdia.core.model_errors import RAISED
-from fusion_sfdia.core.numerals import for_json
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.verdicts import Verdict, far_off
-from fusion_sfdia.live.changes import Change
-from fusion_sfdia.live.watch import Sample
+from fusion_sfdia.common.clock import Clock
+from fusion_sfdia.common.numerals import for_json
+from fusion_sfdia.detectors.detector import Detector
+from fusion_sfdia.detectors.verdicts import Verdict, far_off
+from fusion_sfdia.diagnosis.changes import Change
+from fusion_sfdia.diagnosis.watch import Sample
+from fusion_sfdia.plant.model_errors import RAISED
+from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 

@@ -11,15 +11,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fusion_sfdia.core.detector import MissingPackageError
+from fusion_sfdia.common.errors import MissingPackageError
+from fusion_sfdia.diagnosis.watch import Sample
 from fusion_sfdia.live import security
+from fusion_sfdia.live.address_tables import units_of
 from fusion_sfdia.live.lines import results
 from fusion_sfdia.live.saving import SavedWatch
 from fusion_sfdia.live.status import Report, Status
-from fusion_sfdia.live.tables import units_of
 from fusion_sfdia.live.topics import Topics
 from fusion_sfdia.live.values import Value, Values
-from fusion_sfdia.live.watch import Sample
 
 QUEUED = 10_000  # messages
 CONNECTING = 5.0  # s

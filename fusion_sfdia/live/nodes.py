@@ -8,14 +8,20 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from fusion_sfdia.core.arguments import shown
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.live.readings import Reader
+from fusion_sfdia.common.arguments import require_names, shown
+from fusion_sfdia.live.address_tables import (
+    load_tables,
+    require_bounds,
+    require_readers,
+    require_states,
+    require_texts,
+)
+from fusion_sfdia.live.live_readings import Reader
 from fusion_sfdia.live.security import Connection, require_connection, require_security
-from fusion_sfdia.live.tables import load_tables, require_bounds, require_known, require_readers, require_states, require_texts
 from fusion_sfdia.live.values import MAX_LAG, MAX_LEAD
 from fusion_sfdia.logs.conversion import conversion
 from fusion_sfdia.logs.numbers import Numbers
+from fusion_sfdia.plant.plant import Plant
 
 UNCERTAIN = ("use", "missing")
 
@@ -88,7 +94,7 @@ def load_nodes(path: str | Path, plant: Plant) -> Nodes:
 def _require_source(where: str, value: Any) -> None:
     if not isinstance(value, dict):
         return _require_node(where, value)
-    require_known(f"{where}:", value, Source._fields)
+    require_names(f"{where}:", value, Source._fields)
     if not isinstance(value.get("unit", ""), str):
         raise ValueError(f"{where}: unit is {shown(value['unit'])}; expected a unit, such as 'degC'")
     require_states(where, value)

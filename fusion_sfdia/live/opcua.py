@@ -11,17 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from fusion_sfdia.core.arguments import shown
-from fusion_sfdia.core.detector import MissingPackageError
-from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.common.arguments import shown
+from fusion_sfdia.common.errors import MissingPackageError
+from fusion_sfdia.diagnosis.watch import Sample
+from fusion_sfdia.live.address_tables import units_of
 from fusion_sfdia.live.lines import results
 from fusion_sfdia.live.nodes import Nodes
 from fusion_sfdia.live.saving import SavedWatch
 from fusion_sfdia.live.security import EXAMPLE, SCHEMES, UntrustedError, address, require_encrypted, secure
 from fusion_sfdia.live.status import Report, Status
-from fusion_sfdia.live.tables import units_of
 from fusion_sfdia.live.values import Value, Values
-from fusion_sfdia.live.watch import Sample
+from fusion_sfdia.plant.plant import Plant
 
 FIRST_YEAR = 1970  # of time stamps; OPC UA counts from 1601, which stands for none
 

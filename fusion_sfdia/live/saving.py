@@ -9,10 +9,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from fusion_sfdia.core.files import explained
+from fusion_sfdia.common.files import explained
+from fusion_sfdia.diagnosis.watch import Sample, Watch
 from fusion_sfdia.live.lines import change_line, sample_line
 from fusion_sfdia.live.status import Status
-from fusion_sfdia.live.watch import Sample, Watch
 
 
 @dataclass

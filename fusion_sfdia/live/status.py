@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fusion_sfdia.core.verdicts import Conclusion, Verdict
-from fusion_sfdia.live.watch import Sample, Watch
+from fusion_sfdia.detectors.verdicts import Conclusion, Verdict
+from fusion_sfdia.diagnosis.watch import Sample, Watch
 
 RECENT = 100  # rows over which the share of missing readings is taken
 SILENT = 10.0  # steps of the plant without a row, after which a watch is blind

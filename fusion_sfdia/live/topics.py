@@ -12,16 +12,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fusion_sfdia.core.arguments import shown
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.live.readings import DoubleKeyError, Reader, json_value
+from fusion_sfdia.common.arguments import require_names, shown
+from fusion_sfdia.live.address_tables import (
+    load_tables,
+    require_bounds,
+    require_readers,
+    require_states,
+    require_texts,
+)
+from fusion_sfdia.live.live_readings import DoubleKeyError, Reader, json_value
 from fusion_sfdia.live.security import Connection, require_connection
-from fusion_sfdia.live.tables import load_tables, require_bounds, require_known, require_readers, require_states, require_texts
 from fusion_sfdia.live.values import MAX_LAG, MAX_LEAD, Value
 from fusion_sfdia.logs.conversion import conversion
 from fusion_sfdia.logs.log_map import OPC_DA, OPC_UA, LogMap
 from fusion_sfdia.logs.numbers import Numbers, good_codes
 from fusion_sfdia.logs.times import instant
+from fusion_sfdia.plant.plant import Plant
 
 EPOCHS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 ABSENT = object()
@@ -203,7 +209,7 @@ def load_topics(path: str | Path, plant: Plant) -> Topics:
 def _require_source(where: str, value: Any) -> None:
     if not isinstance(value, dict):
         return _require_topic(where, value)
-    require_known(f"{where}:", value, Source._fields)
+    require_names(f"{where}:", value, Source._fields)
     for what in Source._fields:
         if what not in ("topic", "states") and not isinstance(value.get(what, ""), str):
             expected = "a unit, such as 'degC'" if what == "unit" else "a key, such as 'pv.value'"

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.live.watch import Watch
+from fusion_sfdia.diagnosis.watch import Watch
 
 Array = NDArray[Any]
 

@@ -11,14 +11,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import shown, some
-from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.common.arguments import shown, some
+from fusion_sfdia.logs.cell_tables import Table
 from fusion_sfdia.logs.columns import Source
-from fusion_sfdia.logs.findings import Finding, counted
+from fusion_sfdia.logs.loaded_log import Finding, counted
 from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.logs.numbers import TRUTH, NotANumberError, Numbers, Quantities, good_codes
 from fusion_sfdia.logs.problems import CountedError
-from fusion_sfdia.logs.tables import Table
+from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 

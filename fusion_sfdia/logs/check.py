@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.logs.findings import LoadedLog
+from fusion_sfdia.logs.loaded_log import LoadedLog
 from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.logs.reading import load_log
-from fusion_sfdia.logs.regularity import Regularities, regularities
+from fusion_sfdia.logs.regular_sensors import Regularities, regularities
 from fusion_sfdia.logs.suspects import suspected_units
+from fusion_sfdia.plant.plant import Plant
 
 CHECKED = ("input unit suspected", "unit suspected", "repeat", "resolution", "period")  # kinds of findings of `checked`
 

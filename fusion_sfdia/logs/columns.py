@@ -7,15 +7,15 @@ from collections.abc import Container, Sequence
 from difflib import get_close_matches
 from typing import Any, NamedTuple
 
-from fusion_sfdia.core.arguments import require_unique, shown, some
-from fusion_sfdia.core.plain_text import uncell
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.common.arguments import require_unique, shown, some
+from fusion_sfdia.common.plain_text import uncell
 from fusion_sfdia.logs.conversion import Conversion, conversion
 from fusion_sfdia.logs.epochs import SECONDS, count_of
 from fusion_sfdia.logs.log_map import Column, LogMap
 from fusion_sfdia.logs.numbers import Numbers
 from fusion_sfdia.logs.problems import Problems
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.signals import Sensor, Signal
 
 BRACKET = re.compile(r"(.*?)(\s*)\[([^\[\]]*)\]", re.DOTALL)
 INDEX = re.compile(r"\s*\d+(?:\s*,\s*\d+)*\s*")

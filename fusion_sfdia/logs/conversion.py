@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fusion_sfdia.core.arguments import shown
-from fusion_sfdia.logs import unit_texts as units
-from fusion_sfdia.logs.unit_texts import Reading
+from fusion_sfdia.common import unit_texts as units
+from fusion_sfdia.common.arguments import shown
+from fusion_sfdia.common.unit_texts import Reading
 
 USUAL = (  # units that logs have, by what they measure; the first states it
     ("mT", "T"), ("degC", "K", "degF"), ("bar", "bar(g)", "kPa", "psi", "Pa"), ("m3/h", "l/min", "gpm", "m3/s"),

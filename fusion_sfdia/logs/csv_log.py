@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import floats
-from fusion_sfdia.core.files import atomic_write
-from fusion_sfdia.core.log import TIME, Log
-from fusion_sfdia.core.plain_text import cell, plain
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.common.arguments import floats
+from fusion_sfdia.common.files import atomic_write
+from fusion_sfdia.common.plain_text import cell, plain
 from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.logs.plain import plain_lines
 from fusion_sfdia.logs.reading import load_log
+from fusion_sfdia.plant.log import TIME, Log
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.signals import Sensor, Signal
 
 Array = NDArray[Any]
 

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Sequence
 from itertools import islice
 from typing import Any, NamedTuple
 
-from fusion_sfdia.core.arguments import shown
-from fusion_sfdia.logs.findings import Finding, counted
+from fusion_sfdia.common.arguments import shown
+from fusion_sfdia.logs.loaded_log import Finding, counted
 from fusion_sfdia.logs.log_map import LogMap
 
 LONGEST = 1_000_000  # characters of a line

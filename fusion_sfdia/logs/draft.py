@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import some
-from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.common.arguments import some
+from fusion_sfdia.common.unit_texts import is_unknown
+from fusion_sfdia.logs.cell_tables import Table, read_table
 from fusion_sfdia.logs.columns import split_title
 from fusion_sfdia.logs.delimited import decoded, find_header, is_reading, lines_of
 from fusion_sfdia.logs.kinds import PARQUET, TEXT, kind_of
@@ -23,10 +24,9 @@ from fusion_sfdia.logs.matching import matched
 from fusion_sfdia.logs.numbers import Numbers
 from fusion_sfdia.logs.problems import LogError, Problem
 from fusion_sfdia.logs.reading import load_log
-from fusion_sfdia.logs.tables import Table, read_table
 from fusion_sfdia.logs.time_columns import STAMP, TIME_TITLE, time_columns
 from fusion_sfdia.logs.times import Times
-from fusion_sfdia.logs.unit_texts import is_unknown
+from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 

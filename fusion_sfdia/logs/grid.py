@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.clock import Clock
+from fusion_sfdia.common.clock import Clock
+from fusion_sfdia.logs.cell_tables import AGAIN, TIME, Table
 from fusion_sfdia.logs.columns import split_title
-from fusion_sfdia.logs.findings import Finding, counted
+from fusion_sfdia.logs.loaded_log import Finding, counted
 from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap
-from fusion_sfdia.logs.order import Rows
-from fusion_sfdia.logs.tables import AGAIN, TIME, Table
+from fusion_sfdia.logs.time_order import Rows
 
 Array = NDArray[Any]
 

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.logs.columns import Source, split_title
-from fusion_sfdia.logs.findings import Finding, counted, others
+from fusion_sfdia.logs.loaded_log import Finding, counted, others
 from fusion_sfdia.logs.log_map import AT_THE_SAMPLE, LogMap
 from fusion_sfdia.logs.mix_ups import input_mix_up
-from fusion_sfdia.logs.order import Rows
 from fusion_sfdia.logs.problems import Problems
+from fusion_sfdia.logs.time_order import Rows
+from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 

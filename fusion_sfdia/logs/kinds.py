@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Callable
 from typing import IO, Any, NamedTuple
 
-from fusion_sfdia.core.arguments import some
+from fusion_sfdia.common.arguments import some
 
 START = 4096  # bytes that show the kind
 LARGEST = 4 << 30  # bytes of an unpacked file

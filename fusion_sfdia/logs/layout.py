@@ -9,19 +9,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import shown, some
-from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.common.arguments import shown, some
+from fusion_sfdia.logs.cell_tables import Table
 from fusion_sfdia.logs.cells import Quality, cell_units, compared_values, values_of
 from fusion_sfdia.logs.columns import Sources, find_sources, split_title
-from fusion_sfdia.logs.findings import Finding
 from fusion_sfdia.logs.grid import filled, on_grid, stacked, step_of, tagged
+from fusion_sfdia.logs.loaded_log import Finding
 from fusion_sfdia.logs.log_map import SPREAD, LogMap
 from fusion_sfdia.logs.mask import mask_titles
-from fusion_sfdia.logs.order import Rows, dropped, require_one_clock, spread, spread_finding, twice
 from fusion_sfdia.logs.problems import Problems
-from fusion_sfdia.logs.tables import Table
 from fusion_sfdia.logs.time_columns import time_columns, ways_of_reading
+from fusion_sfdia.logs.time_order import Rows, dropped, require_one_clock, spread, spread_finding, twice
 from fusion_sfdia.logs.times import UNKNOWN, Expected, Times, times_of, unknown_times
+from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 Laid = tuple[Sources, Rows, Times, list[Finding]]

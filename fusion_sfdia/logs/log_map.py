@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
 
-from fusion_sfdia.core.arguments import number, shown, whole
-from fusion_sfdia.core.numerals import code
+from fusion_sfdia.common.arguments import number, shown, whole
+from fusion_sfdia.common.numerals import code
 from fusion_sfdia.logs.epochs import NAMES, SECONDS, count_of
 from fusion_sfdia.logs.problems import Problems
 

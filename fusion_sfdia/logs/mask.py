@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import shown, some
+from fusion_sfdia.common.arguments import shown, some
 from fusion_sfdia.logs.columns import Sources
 from fusion_sfdia.logs.log_map import MASK, LogMap
-from fusion_sfdia.logs.order import Rows
+from fusion_sfdia.logs.time_order import Rows
 
 Array = NDArray[Any]
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.logs.conversion import conversion
 from fusion_sfdia.logs.log_map import Column
+from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 

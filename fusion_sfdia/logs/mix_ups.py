@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.logs.conversion import conversion
+from fusion_sfdia.plant.signals import Signal
 
 Array = NDArray[Any]
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.numerals import code, decimal, number_of, real
+from fusion_sfdia.common.numerals import code, decimal, number_of, real
 from fusion_sfdia.logs.log_map import OPC_DA, LogMap
 
 Array = NDArray[Any]

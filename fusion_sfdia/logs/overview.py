@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import some
-from fusion_sfdia.core.log import Log
-from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.common.arguments import some
 from fusion_sfdia.logs.epochs import FIRST, LONGEST, LONGEST_COUNT, Calendar, candidates, is_near, shown_as
-from fusion_sfdia.logs.findings import Finding, counted
-from fusion_sfdia.logs.order import HOUR, places_changing
+from fusion_sfdia.logs.loaded_log import Finding, counted
+from fusion_sfdia.logs.time_order import HOUR, places_changing
 from fusion_sfdia.logs.times import Expected, Times
+from fusion_sfdia.plant.log import Log
+from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 

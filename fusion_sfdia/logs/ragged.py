@@ -8,12 +8,12 @@ from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
-from fusion_sfdia.core.arguments import some
+from fusion_sfdia.common.arguments import some
+from fusion_sfdia.common.unit_texts import is_unknown
 from fusion_sfdia.logs.delimited import Cells, Row, bare, is_reading, listed, too_many
-from fusion_sfdia.logs.findings import Finding
+from fusion_sfdia.logs.loaded_log import Finding
 from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.logs.plain import few_of
-from fusion_sfdia.logs.unit_texts import is_unknown
 
 NUMBER = re.compile(r"[+-]?(\d*)(?:[.,](\d*))?(?:[eE]([+-]?\d*))?")
 PROCESSING = {"Avg", "Max", "Med", "Min", "Smp", "Std", "Tot"}  # of a TOA5 header; pint takes Min for mega-inches

@@ -10,21 +10,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import some
-from fusion_sfdia.core.detector import MissingPackageError
-from fusion_sfdia.core.log import Log, is_frame, usual_inputs
-from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.common.arguments import some
+from fusion_sfdia.common.errors import MissingPackageError
+from fusion_sfdia.logs.cell_tables import Table, read_table
 from fusion_sfdia.logs.columns import Sources, require_columns_of
-from fusion_sfdia.logs.findings import Finding, LoadedLog, counted
+from fusion_sfdia.logs.frames import is_frame
 from fusion_sfdia.logs.inputs import before_the_first, held, require_known, timing
 from fusion_sfdia.logs.layout import long_rows, wide_rows
+from fusion_sfdia.logs.loaded_log import Finding, LoadedLog, counted
 from fusion_sfdia.logs.log_map import AT_THE_SAMPLE, PLAIN_MAP, LogMap, load_map
 from fusion_sfdia.logs.mask import masked_rows
-from fusion_sfdia.logs.order import Rows, in_order
 from fusion_sfdia.logs.overview import overview
 from fusion_sfdia.logs.problems import Problems
-from fusion_sfdia.logs.tables import Table, read_table
+from fusion_sfdia.logs.time_order import Rows, in_order
 from fusion_sfdia.logs.times import UNKNOWN, Expected
+from fusion_sfdia.plant.log import Log, usual_inputs
+from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 

@@ -11,10 +11,10 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import shown, some
-from fusion_sfdia.core.detector import MissingPackageError
-from fusion_sfdia.logs.findings import Finding, counted
+from fusion_sfdia.common.arguments import shown, some
+from fusion_sfdia.common.errors import MissingPackageError
 from fusion_sfdia.logs.kinds import TDMS
+from fusion_sfdia.logs.loaded_log import Finding, counted
 from fusion_sfdia.logs.log_map import LogMap
 
 Array = NDArray[Any]

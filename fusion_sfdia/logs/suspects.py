@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.gaps import steps_in
-from fusion_sfdia.core.log import Log
-from fusion_sfdia.core.model_errors import RAISED
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.signals import Signal
-from fusion_sfdia.logs.findings import Finding
+from fusion_sfdia.logs.loaded_log import Finding
 from fusion_sfdia.logs.mix_ups import BETTER, MixUp, input_mix_up, mix_up
+from fusion_sfdia.plant.gaps import steps_in
+from fusion_sfdia.plant.log import Log
+from fusion_sfdia.plant.model_errors import RAISED
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.signals import Signal
 
 Array = NDArray[Any]
 

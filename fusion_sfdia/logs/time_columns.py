@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fusion_sfdia.logs.cell_tables import Table
 from fusion_sfdia.logs.columns import split_title
 from fusion_sfdia.logs.log_map import LogMap
-from fusion_sfdia.logs.tables import Table
 from fusion_sfdia.logs.times import ANY, Expected, Times, times_of
 
 TIME_TITLE = re.compile(r"time|stamp|date|datum|zeit|tijd|uhr|heure|hora|fecha|\bts\b|^t$", re.I)

@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import shown
-from fusion_sfdia.core.clock import Clock
+from fusion_sfdia.common.arguments import shown
+from fusion_sfdia.common.clock import Clock
+from fusion_sfdia.logs.cell_tables import Table
 from fusion_sfdia.logs.epochs import (
     EXCEL,
     IN_WORDS,
@@ -25,10 +26,9 @@ from fusion_sfdia.logs.epochs import (
     recognised,
     unix,
 )
-from fusion_sfdia.logs.findings import Finding, counted
+from fusion_sfdia.logs.loaded_log import Finding, counted
 from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap, zone
 from fusion_sfdia.logs.numbers import NotANumberError, Numbers
-from fusion_sfdia.logs.tables import Table
 
 Array = NDArray[Any]
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from datetime import time
 from typing import IO, Any
 
-from fusion_sfdia.core.arguments import shown, some
-from fusion_sfdia.core.detector import MissingPackageError
+from fusion_sfdia.common.arguments import shown, some
+from fusion_sfdia.common.errors import MissingPackageError
 from fusion_sfdia.logs.delimited import SEARCHED, Cells, has_times, is_reading
-from fusion_sfdia.logs.findings import Finding, counted
+from fusion_sfdia.logs.loaded_log import Finding, counted
 from fusion_sfdia.logs.log_map import LogMap
 
 ERRORS = {"#N/A", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#NULL!"}

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.report.results import Row
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from fusion_sfdia.core.numerals import for_json
-from fusion_sfdia.core.verdicts import judged
-from fusion_sfdia.evaluation.diagnose import Diagnosis
-from fusion_sfdia.evaluation.events import Event
-from fusion_sfdia.logs.findings import LoadedLog
+from fusion_sfdia.common.numerals import for_json
+from fusion_sfdia.detectors.verdicts import judged
+from fusion_sfdia.diagnosis.diagnose import Diagnosis
+from fusion_sfdia.diagnosis.events import Event
+from fusion_sfdia.logs.loaded_log import LoadedLog
 from fusion_sfdia.report.log_page import About
 from fusion_sfdia.report.log_units import LogUnits
 

@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import Formatter, NullFormatter
 
-from fusion_sfdia.core.files import atomic_write
-from fusion_sfdia.core.plain_text import plain
+from fusion_sfdia.common.files import atomic_write
+from fusion_sfdia.common.plain_text import plain
 from fusion_sfdia.report.plots import style
 
 SUPERSCRIPTS = str.maketrans("-.0123456789", "⁻·⁰¹²³⁴⁵⁶⁷⁸⁹")

@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.gaps import Gap
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.diagnose import Diagnosis
-from fusion_sfdia.evaluation.events import Event, ProcessEvent, UndecidedEvent, listed
+from fusion_sfdia.diagnosis.diagnose import Diagnosis
+from fusion_sfdia.diagnosis.events import Event, ProcessEvent, UndecidedEvent, listed
+from fusion_sfdia.plant.gaps import Gap
+from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.plots import COLOURS, TimeAxis, shade
 
 Array = NDArray[Any]

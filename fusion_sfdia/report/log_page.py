@@ -14,10 +14,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fusion_sfdia import __version__
-from fusion_sfdia.core.files import atomic_write
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.diagnose import Diagnosis
-from fusion_sfdia.evaluation.events import Event, ProcessEvent, with_spread, with_unit
+from fusion_sfdia.common.files import atomic_write
+from fusion_sfdia.diagnosis.diagnose import Diagnosis
+from fusion_sfdia.diagnosis.events import Event, ProcessEvent, with_spread, with_unit
+from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.figure_files import figure_svg
 from fusion_sfdia.report.log_figures import overview, time_line, zoom
 from fusion_sfdia.report.page import inline, page_environment, part

@@ -14,25 +14,25 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.detector import Detector
-from fusion_sfdia.core.files import all_or_none, atomic_write, locked
-from fusion_sfdia.core.plain_text import cell, plain
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.storage import require_detector
-from fusion_sfdia.core.verdicts import Verdict
-from fusion_sfdia.evaluation.diagnose import Diagnosis, present
-from fusion_sfdia.evaluation.events import ProcessEvent, open_questions
-from fusion_sfdia.evaluation.loaded_log import prepared
+from fusion_sfdia.common.files import all_or_none, atomic_write, locked
+from fusion_sfdia.common.plain_text import cell, plain
+from fusion_sfdia.detectors.detector import Detector
+from fusion_sfdia.detectors.storage import require_detector
+from fusion_sfdia.detectors.verdicts import Verdict
+from fusion_sfdia.diagnosis.diagnose import Diagnosis, present
+from fusion_sfdia.diagnosis.events import ProcessEvent, open_questions
+from fusion_sfdia.diagnosis.prepared import prepared
 from fusion_sfdia.logs.check import check_log
-from fusion_sfdia.logs.findings import LoadedLog
+from fusion_sfdia.logs.loaded_log import LoadedLog
 from fusion_sfdia.logs.log_map import LogMap
+from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.figure_files import write_figure
 from fusion_sfdia.report.log_figures import broken, process_size, thinned, time_axis, time_line
 from fusion_sfdia.report.log_page import About, write_page
 from fusion_sfdia.report.log_units import LogUnits
 from fusion_sfdia.report.plots import panels, time_series
 from fusion_sfdia.report.progress import progress
-from fusion_sfdia.report.tables import SUFFIXES, reconstructed, require_tables, scores, write_rows
+from fusion_sfdia.report.sample_tables import SUFFIXES, reconstructed, require_tables, scores, write_rows
 
 FILES = ("report.html", "events.csv", "reconstructed.csv", "scores.csv", "diagnosis.svg", "diagnosis.png")
 OWN_FILE = "monitor.txt"  # beside them, of a monitor

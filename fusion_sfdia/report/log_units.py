@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.diagnose import Diagnosis
-from fusion_sfdia.evaluation.events import Event, UndecidedEvent
+from fusion_sfdia.diagnosis.diagnose import Diagnosis
+from fusion_sfdia.diagnosis.events import Event, UndecidedEvent
 from fusion_sfdia.logs.columns import Source, split_title
 from fusion_sfdia.logs.conversion import conversion
+from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 

@@ -14,10 +14,10 @@ from typing import Any
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
-from fusion_sfdia.core.files import atomic_write
-from fusion_sfdia.core.plain_text import plain
-from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.common.files import atomic_write
+from fusion_sfdia.common.plain_text import plain
 from fusion_sfdia.report.content import Figure, Summary
+from fusion_sfdia.report.results import Row
 
 OPEN_ROWS = 40  # a longer table is folded
 MOST_ROWS = 5000  # of more the page would be slow: they are in metrics.csv alone

@@ -19,7 +19,7 @@ from matplotlib.path import Path as Outline
 from matplotlib.ticker import LogFormatter
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.clock import Clock
+from fusion_sfdia.common.clock import Clock
 
 Array = NDArray[Any]
 

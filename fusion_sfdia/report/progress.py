@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
-from fusion_sfdia.core.plain_text import acting
+from fusion_sfdia.common.plain_text import acting
 
 T = TypeVar("T")
 

@@ -10,10 +10,10 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.linear import linear_plant
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.logs.draft import Draft
+from fusion_sfdia.plant.linear import linear_plant
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.signals import Sensor, Signal
 
 Array = NDArray[Any]
 

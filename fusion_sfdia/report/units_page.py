@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from markupsafe import Markup
 
 from fusion_sfdia import __version__
-from fusion_sfdia.core.files import atomic_write
+from fusion_sfdia.common.files import atomic_write
 from fusion_sfdia.report.log_report import write_table
 from fusion_sfdia.report.page import page_environment, part
 

@@ -12,16 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from fusion_sfdia.core.detector import Decision, Detector, of_run
-from fusion_sfdia.core.gaps import Gap, Track, bridged
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.diagnose import DiagnosisWarning, concluded, decided, diagnose_run
-from fusion_sfdia.evaluation.events import Event
-from fusion_sfdia.evaluation.lag import explained_by_lag
-from fusion_sfdia.evaluation.metrics import Estimate, proportion, rate_over_runs
-from fusion_sfdia.evaluation.results import Row, row_of
-from fusion_sfdia.experiments.workers import in_processes
-from fusion_sfdia.study.protocol import GROUPS, STEPS, Case, Trial, cases_for, trial
+from fusion_sfdia.detectors.detector import Decision, Detector, of_run
+from fusion_sfdia.diagnosis.diagnose import DiagnosisWarning, concluded, decided, diagnose_run
+from fusion_sfdia.diagnosis.events import Event
+from fusion_sfdia.diagnosis.lag import explained_by_lag
+from fusion_sfdia.plant.gaps import Gap, Track, bridged
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.report.metrics import Estimate, proportion, rate_over_runs
+from fusion_sfdia.report.results import Row, row_of
+from fusion_sfdia.study.error_protocol import GROUPS, STEPS, Case, Trial, cases_for, trial
+from fusion_sfdia.study.experiments.workers import in_processes
 
 Array = NDArray[Any]
 

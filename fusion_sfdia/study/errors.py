@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 Generator = np.random.Generator

@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.plant_groups import Truth
-from fusion_sfdia.core.random_streams import stream
-from fusion_sfdia.core.signals import Sensor, Signal
-from fusion_sfdia.core.uncertainty import Parameter, Uncertainty
+from fusion_sfdia.common.random_streams import stream
+from fusion_sfdia.plant.plant import Plant, Truth
+from fusion_sfdia.plant.signals import Sensor, Signal
+from fusion_sfdia.plant.uncertainty import Parameter, Uncertainty
 
 Array = NDArray[Any]
 

@@ -10,15 +10,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from fusion_sfdia import registry
-from fusion_sfdia.comparison.subjects import cases_of, compared_plant
-from fusion_sfdia.core.detector import NotApplicableError
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
-from fusion_sfdia.registry import require_known
+from fusion_sfdia.common.errors import NotApplicableError
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.detectors.registry import require_known
 from fusion_sfdia.report.content import Summary
+from fusion_sfdia.report.results import Row
 from fusion_sfdia.study.audit import FEWEST, audit
-from fusion_sfdia.study.protocol import GROUPS, OF_PLANT, STEPS, stated_cases
+from fusion_sfdia.study.comparison.subjects import cases_of, compared_plant
+from fusion_sfdia.study.error_protocol import GROUPS, OF_PLANT, STEPS, stated_cases
+from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task
 from fusion_sfdia.study.random_plants import random_plant
 from fusion_sfdia.study.robustness_report import NAME, Results, summary_of
 

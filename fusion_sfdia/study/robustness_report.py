@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from fusion_sfdia.comparison.figures import heat
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Arrays, Task
 from fusion_sfdia.report.content import Chapter, Figure, Interval, Summary, Table
 from fusion_sfdia.report.plots import panels
+from fusion_sfdia.report.results import Row
 from fusion_sfdia.study.audit import DELAY, LEVELS, METRICS, RIGHT_EVENT
-from fusion_sfdia.study.protocol import CASES, OF_PLANT
+from fusion_sfdia.study.comparison.figures import heat
+from fusion_sfdia.study.error_protocol import CASES, OF_PLANT
+from fusion_sfdia.study.experiments.scenario import Arrays, Task
 
 Results = list[tuple[Task, Arrays]]
 Index = Mapping[tuple[str, str, str, str], Row]

@@ -10,9 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.plant_groups import Numerics, Structure
-from fusion_sfdia.core.uncertainty import Uncertainty, error_of
+from fusion_sfdia.plant.plant import Numerics, Plant, Structure
+from fusion_sfdia.plant.uncertainty import Uncertainty, error_of
 
 Array = NDArray[Any]
 

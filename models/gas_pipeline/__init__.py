@@ -1,6 +1,6 @@
 """150 km of high-pressure natural gas under transient flow (Shaheen 2024)."""
 
-from fusion_sfdia.registry import register_plant
+from fusion_sfdia.detectors.registry import register_plant
 
 register_plant(
     "gas-pipeline",

@@ -15,16 +15,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.random_streams import stream
-from fusion_sfdia.evaluation.cases import ComparisonCases, MismatchCase, PaperFault, ProcessFaultCase, in_operation
-from fusion_sfdia.evaluation.fault_draws import PRESETS, draw_faults
-from fusion_sfdia.evaluation.faults import Fault
-from fusion_sfdia.evaluation.other_truths import double_spread, fluctuating, trending
-from fusion_sfdia.evaluation.results import Published
+from fusion_sfdia.common.random_streams import stream
+from fusion_sfdia.diagnosis.fault_draws import PRESETS, draw_faults
+from fusion_sfdia.diagnosis.faults import Fault
 from fusion_sfdia.models.gas_pipeline import published
 from fusion_sfdia.models.gas_pipeline.physics import INLET_PRESSURE, INLET_TEMPERATURE, pipeline_parameters
 from fusion_sfdia.models.gas_pipeline.plant import demand, gas_pipeline
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.report.results import Published
+from fusion_sfdia.study.cases import ComparisonCases, MismatchCase, PaperFault, ProcessFaultCase, in_operation
+from fusion_sfdia.study.other_truths import double_spread, fluctuating, trending
 
 Array = NDArray[Any]
 

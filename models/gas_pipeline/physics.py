@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from fusion_sfdia.core.physics import Physics
-from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.models.gas_pipeline import equations
 from fusion_sfdia.models.gas_pipeline.equations import PipelineParameters
 from fusion_sfdia.models.gas_pipeline.natural_gas import PRESSURES, TEMPERATURES, natural_gas
+from fusion_sfdia.plant.physics import Physics
+from fusion_sfdia.plant.signals import Signal
 
 Array = NDArray[Any]
 

@@ -29,13 +29,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import number
-from fusion_sfdia.core.differentiable import Differentiable
-from fusion_sfdia.core.equation import batch_rows
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.plant_groups import Numerics, Truth
-from fusion_sfdia.core.signals import Sensor, Signal
-from fusion_sfdia.core.uncertainty import Uncertainty, by_states_alone
+from fusion_sfdia.common.arguments import number
+from fusion_sfdia.common.equation import batch_rows
+from fusion_sfdia.derivatives.differentiable import Differentiable
 from fusion_sfdia.models.gas_pipeline import equations
 from fusion_sfdia.models.gas_pipeline.equations import PipelineParameters
 from fusion_sfdia.models.gas_pipeline.natural_gas import PRESSURES, TEMPERATURES
@@ -51,6 +47,9 @@ from fusion_sfdia.models.gas_pipeline.physics import (
     signals,
 )
 from fusion_sfdia.models.gas_pipeline.unknown import INPUT_ERRORS, unknown_of, unknown_parameters
+from fusion_sfdia.plant.plant import Numerics, Plant, Truth
+from fusion_sfdia.plant.signals import Sensor, Signal
+from fusion_sfdia.plant.uncertainty import Uncertainty, by_states_alone
 
 Array = NDArray[Any]
 

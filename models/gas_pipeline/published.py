@@ -6,7 +6,7 @@ curves, isolation matrices, RMSE under faults) have no numbers.
 
 from __future__ import annotations
 
-from fusion_sfdia.evaluation.results import Published
+from fusion_sfdia.report.results import Published
 
 QUANTITIES = ("pressure", "mass flow", "temperature")
 FAULTS = ("strong-bias", "weak-bias", "strong-drift", "weak-drift")

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.uncertainty import Parameter, Spread
 from fusion_sfdia.models.gas_pipeline.equations import UNKNOWN, PipelineParameters
+from fusion_sfdia.plant.uncertainty import Parameter, Spread
 
 Array = NDArray[Any]
 

@@ -1,6 +1,6 @@
 """A four-stroke marine diesel engine with turbocharger (Kougiatsos and Reppa 2024)."""
 
-from fusion_sfdia.registry import register_plant
+from fusion_sfdia.detectors.registry import register_plant
 
 register_plant(
     "marine-engine",

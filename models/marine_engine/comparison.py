@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.cases import ComparisonCases, MismatchCase, PaperFault, ProcessFaultCase, PublishedDelay
-from fusion_sfdia.evaluation.faults import Fault
-from fusion_sfdia.evaluation.other_truths import double_spread, fluctuating, trending
-from fusion_sfdia.evaluation.results import Published
+from fusion_sfdia.diagnosis.faults import Fault
 from fusion_sfdia.models.marine_engine.faults import EngineFault
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters
 from fusion_sfdia.models.marine_engine.plant import marine_engine
 from fusion_sfdia.models.marine_engine.published import THREE_FAULTS, Offset
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.report.results import Published
+from fusion_sfdia.study.cases import ComparisonCases, MismatchCase, PaperFault, ProcessFaultCase, PublishedDelay
+from fusion_sfdia.study.other_truths import double_spread, fluctuating, trending
 
 Array = NDArray[Any]
 

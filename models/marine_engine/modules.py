@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.equation import plain
-from fusion_sfdia.core.modules import Modules, ObserverBound
+from fusion_sfdia.common.equation import plain
 from fusion_sfdia.models.marine_engine import equations
 from fusion_sfdia.models.marine_engine.equations import ALGEBRAIC, STATES, EngineParameters
 from fusion_sfdia.models.marine_engine.equilibrium import follows_law
 from fusion_sfdia.models.marine_engine.physics import decay_rates, engine_equations
+from fusion_sfdia.plant.modules import Modules, ObserverBound
 
 
 class Module(NamedTuple):

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.physics import Physics
-from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.models.marine_engine import equations
 from fusion_sfdia.models.marine_engine.equations import ALGEBRAIC, CONSTANT_SLIP, EQUATIONS, STATES, EngineParameters
 from fusion_sfdia.models.marine_engine.equilibrium import LOADS, engine_variables, follows_law
+from fusion_sfdia.plant.physics import Physics
+from fusion_sfdia.plant.signals import Signal
 
 Array = NDArray[Any]
 

@@ -27,13 +27,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.differentiable import Differentiable
-from fusion_sfdia.core.discretise import discretise
-from fusion_sfdia.core.equation import batch_rows
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.plant_groups import Structure, Truth, with_same_states
-from fusion_sfdia.core.signals import Sensor
-from fusion_sfdia.core.uncertainty import Spread, Uncertainty
+from fusion_sfdia.common.equation import batch_rows
+from fusion_sfdia.derivatives.differentiable import Differentiable
 from fusion_sfdia.models.marine_engine import equations
 from fusion_sfdia.models.marine_engine.equations import ALGEBRAIC, STATES, EngineParameters
 from fusion_sfdia.models.marine_engine.equilibrium import engine_variables, equilibrium, follows_law
@@ -41,6 +36,10 @@ from fusion_sfdia.models.marine_engine.faults import EngineFault, parameter_sche
 from fusion_sfdia.models.marine_engine.modules import engine_modules
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters
 from fusion_sfdia.models.marine_engine.physics import UNIT, decay_rates, engine_physics
+from fusion_sfdia.plant.discretise import discretise
+from fusion_sfdia.plant.plant import Plant, Structure, Truth, with_same_states
+from fusion_sfdia.plant.signals import Sensor
+from fusion_sfdia.plant.uncertainty import Spread, Uncertainty
 
 Array = NDArray[Any]
 

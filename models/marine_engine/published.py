@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from fusion_sfdia.core.modules import ObserverBound
-from fusion_sfdia.evaluation.results import Published
 from fusion_sfdia.models.marine_engine.modules import GAINS, OBSERVER_BOUNDS
+from fusion_sfdia.plant.modules import ObserverBound
+from fusion_sfdia.report.results import Published
 
 K24, K22 = "Kougiatsos 2024", "Kougiatsos 2022"
 PAPERS = {"K24": K24, "K22": K22}

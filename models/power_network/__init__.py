@@ -1,6 +1,6 @@
 """Generation areas joined by tie lines, which are plugged in and out (Boem 2018)."""
 
-from fusion_sfdia.registry import register_plant
+from fusion_sfdia.detectors.registry import register_plant
 
 register_plant(
     "power-network",

@@ -9,17 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.linear import constant, picked
-from fusion_sfdia.core.local_areas import LocalAreas
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.plant_groups import Numerics, Truth
-from fusion_sfdia.core.signals import Sensor, Signal
-from fusion_sfdia.core.uncertainty import Parameter, Uncertainty, by_states_alone
 from fusion_sfdia.models.power_network import equations
 from fusion_sfdia.models.power_network.equations import STATES
 from fusion_sfdia.models.power_network.model import NOISE_VARIANCE, NetworkModel
 from fusion_sfdia.models.power_network.parameters import DYNAMIC
 from fusion_sfdia.models.power_network.unknown import DROOP, INERTIA, LOAD, REFERENCE, SPREAD
+from fusion_sfdia.plant.linear import constant, picked
+from fusion_sfdia.plant.local_areas import LocalAreas
+from fusion_sfdia.plant.plant import Numerics, Plant, Truth
+from fusion_sfdia.plant.signals import Sensor, Signal
+from fusion_sfdia.plant.uncertainty import Parameter, Uncertainty, by_states_alone
 
 Array = NDArray[Any]
 

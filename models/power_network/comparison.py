@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.cases import ComparisonCases, MismatchCase, ProcessFaultCase, PublishedDelay, in_operation
-from fusion_sfdia.evaluation.other_truths import double_spread, fluctuating, trending
 from fusion_sfdia.models.power_network.model import network_model
 from fusion_sfdia.models.power_network.operation import AreaFault, load_profile
 from fusion_sfdia.models.power_network.parameters import NetworkParameters, load_network, load_steps
 from fusion_sfdia.models.power_network.plant import power_network
 from fusion_sfdia.models.power_network.published import GOVERNOR
 from fusion_sfdia.models.power_network.unknown import altered
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.study.cases import ComparisonCases, MismatchCase, ProcessFaultCase, PublishedDelay, in_operation
+from fusion_sfdia.study.other_truths import double_spread, fluctuating, trending
 
 Array = NDArray[Any]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.models.power_network.equations import STATES
 from fusion_sfdia.models.power_network.model import NOISE_VARIANCE, NetworkModel
+from fusion_sfdia.plant.areas import Areas
 
 
 def network_areas(model: NetworkModel, *, named: bool = True) -> Areas:

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.equation import batch_rows
-from fusion_sfdia.core.linear import zero_order_hold
-from fusion_sfdia.core.network import Network
+from fusion_sfdia.common.equation import batch_rows
 from fusion_sfdia.models.power_network import equations
 from fusion_sfdia.models.power_network.parameters import DYNAMIC, NetworkParameters, load_network
+from fusion_sfdia.plant.linear import zero_order_hold
+from fusion_sfdia.plant.network import Network
 
 Array = NDArray[Any]
 

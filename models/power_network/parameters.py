@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import number, require_unique, whole
-from fusion_sfdia.core.network import Topology
+from fusion_sfdia.common.arguments import number, require_unique, whole
+from fusion_sfdia.plant.network import Topology
 
 Array = NDArray[Any]
 

@@ -31,11 +31,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.linear import constant, picked
-from fusion_sfdia.core.physics import Physics
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.plant_groups import Numerics, Structure, Truth, with_same_states
-from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.models.power_network.control import generation_control
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.equations import STATES, area_rates
@@ -49,6 +44,10 @@ from fusion_sfdia.models.power_network.parameters import (
     load_steps,
 )
 from fusion_sfdia.models.power_network.unknown import network_uncertainty, rebuilt_uncertainty
+from fusion_sfdia.plant.linear import constant, picked
+from fusion_sfdia.plant.physics import Physics
+from fusion_sfdia.plant.plant import Numerics, Plant, Structure, Truth, with_same_states
+from fusion_sfdia.plant.signals import Sensor, Signal
 
 Array = NDArray[Any]
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from fusion_sfdia.evaluation.results import Published
 from fusion_sfdia.models.power_network.operation import AreaFault
+from fusion_sfdia.report.results import Published
 
 B18 = "Boem 2018"
 

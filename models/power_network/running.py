@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from fusion_sfdia.core.areas import Areas
-from fusion_sfdia.core.network import Change, Network
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import NetworkModel
+from fusion_sfdia.plant.areas import Areas
+from fusion_sfdia.plant.network import Change, Network
 
 
 class RunningNetwork:

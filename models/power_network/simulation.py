@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import whole
-from fusion_sfdia.core.random_streams import require_seeds, stream
+from fusion_sfdia.common.arguments import whole
+from fusion_sfdia.common.random_streams import require_seeds, stream
 from fusion_sfdia.models.power_network.control import Control, generation_control
 from fusion_sfdia.models.power_network.model import NOISE_VARIANCE, NetworkModel
 from fusion_sfdia.models.power_network.operation import AreaFault, NetworkCondition, Switch, network_conditions

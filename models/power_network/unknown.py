@@ -14,14 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.differentiable import Differentiable
-from fusion_sfdia.core.equation import plain
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.uncertainty import Parameter, Uncertainty, by_states_alone, secants
+from fusion_sfdia.common.equation import plain
+from fusion_sfdia.derivatives.differentiable import Differentiable
 from fusion_sfdia.models.power_network import equations
 from fusion_sfdia.models.power_network.model import NetworkModel
 from fusion_sfdia.models.power_network.operation import NetworkCondition
 from fusion_sfdia.models.power_network.parameters import SLOPE_UNIT, UNITS, NetworkParameters
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.secants import secants
+from fusion_sfdia.plant.uncertainty import Parameter, Uncertainty, by_states_alone
 
 Array = NDArray[Any]
 

@@ -1,6 +1,6 @@
 """Two water tanks in series, checkable by hand."""
 
-from fusion_sfdia.registry import register_plant
+from fusion_sfdia.detectors.registry import register_plant
 
 register_plant(
     "two-tanks",

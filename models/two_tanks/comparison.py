@@ -9,10 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.discretise import discretise
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.cases import ComparisonCases, MismatchCase, ProcessFaultCase
-from fusion_sfdia.evaluation.other_truths import double_spread, fluctuating, trending
 from fusion_sfdia.models.two_tanks.plant import (
     FINER,
     INFLOW,
@@ -23,6 +19,10 @@ from fusion_sfdia.models.two_tanks.plant import (
     true_physics,
     two_tanks,
 )
+from fusion_sfdia.plant.discretise import discretise
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.study.cases import ComparisonCases, MismatchCase, ProcessFaultCase
+from fusion_sfdia.study.other_truths import double_spread, fluctuating, trending
 
 Array = NDArray[Any]
 

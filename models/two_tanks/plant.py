@@ -28,14 +28,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.discretise import discretise
-from fusion_sfdia.core.equation import equation
-from fusion_sfdia.core.modules import Modules
-from fusion_sfdia.core.physics import Physics
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.plant_groups import Structure, Truth, with_same_states
-from fusion_sfdia.core.signals import Sensor, Signal
-from fusion_sfdia.core.uncertainty import Parameter
+from fusion_sfdia.common.equation import equation
+from fusion_sfdia.plant.discretise import discretise
+from fusion_sfdia.plant.modules import Modules
+from fusion_sfdia.plant.physics import Physics
+from fusion_sfdia.plant.plant import Plant, Structure, Truth, with_same_states
+from fusion_sfdia.plant.signals import Sensor, Signal
+from fusion_sfdia.plant.uncertainty import Parameter
 
 Array = NDArray[Any]
 

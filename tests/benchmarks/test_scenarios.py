@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from smallest_scenarios import RECORDED, SMALLEST, smallest
 
-from fusion_sfdia.evaluation.results import read_rows, write_rows
-from fusion_sfdia.experiments.scenario import Arrays, Task
-from fusion_sfdia.experiments.workers import timed
-from fusion_sfdia.registry import detectors
+from fusion_sfdia.detectors.registry import detectors
 from fusion_sfdia.report.content import Summary
 from fusion_sfdia.report.plots import style
-from fusion_sfdia.scenarios import GROUPS, SCENARIOS, scenario
+from fusion_sfdia.report.results import read_rows, write_rows
+from fusion_sfdia.study.experiments.scenario import Arrays, Task
+from fusion_sfdia.study.experiments.workers import timed
+from fusion_sfdia.study.scenarios import GROUPS, SCENARIOS, scenario
 
 NAMES = [name for name in SCENARIOS if name not in ("comparison", "robustness")]  # they have tests of their own
 PLANTS = {

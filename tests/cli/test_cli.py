@@ -18,16 +18,19 @@ from typing import Any, NoReturn
 import numpy as np
 import pytest
 
-from fusion_sfdia import __version__, registry, scenarios
-from fusion_sfdia.cli import listing, runs
+from fusion_sfdia import __version__
+from fusion_sfdia.cli import listing
+from fusion_sfdia.cli import scenarios as runs
 from fusion_sfdia.cli.logs import _size
 from fusion_sfdia.cli.main import main
 from fusion_sfdia.cli.monitor import add_monitor
-from fusion_sfdia.comparison import protocol
-from fusion_sfdia.core.files import locked, locked_file
-from fusion_sfdia.evaluation.faults import FAULT_KINDS, Fault, load_faults
+from fusion_sfdia.common.files import locked, locked_file
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.diagnosis.faults import FAULT_KINDS, Fault, load_faults
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.report.log_report import FILES
+from fusion_sfdia.study import scenarios
+from fusion_sfdia.study.comparison import protocol
 
 PLANT = gas_pipeline()
 HELPERS = Path(__file__).resolve().parents[1] / "helpers"
@@ -441,7 +444,7 @@ def test_a_full_disk_leaves_no_half_diagnosis(capsys: pytest.CaptureFixture[str]
 
     altered(len)
     capsys.readouterr()
-    monkeypatch.setattr("fusion_sfdia.report.tables.write_lines", full)
+    monkeypatch.setattr("fusion_sfdia.report.sample_tables.write_lines", full)
     code, out, err = call(capsys, "diagnose", "--data", "other.csv", "--detector", "loo-chi2")
     assert (code, out) == (1, "")
     assert err == "fusion-sfdia: diagnosis/other/reconstructed.csv: No space left on device; make room, or name another place\n"

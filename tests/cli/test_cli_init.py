@@ -11,8 +11,8 @@ import pytest
 from drafted_logs import STEPS, TAGS, UNITS, drafted_logs, readings, vat
 
 from fusion_sfdia.cli.main import main
+from fusion_sfdia.detectors.registry import plant as registered
 from fusion_sfdia.logs.reading import load_log
-from fusion_sfdia.registry import plant as registered
 
 HELPERS = Path(__file__).parents[1] / "helpers" / "drafted_logs.py"
 DIRTY = ("dirty.csv", "everything.csv")

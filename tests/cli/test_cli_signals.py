@@ -15,15 +15,15 @@ import pytest
 from toy_plants import readings, tanks
 
 from fusion_sfdia.cli.signals import handled
-from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.live.watch import Watch
+from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.diagnosis.watch import Watch
 from fusion_sfdia.logs.csv_log import write_log
 
 PROGRAM = """
 import os, signal, sys
 import numpy as np
 from toy_scenario import toy
-from fusion_sfdia import scenarios
+from fusion_sfdia.study import scenarios
 from fusion_sfdia.cli.main import main
 
 def work(*arguments):

@@ -12,8 +12,8 @@ import pandas
 import pytest
 
 from fusion_sfdia.cli.main import main
-from fusion_sfdia.comparison.compare import ComparisonResult
-from fusion_sfdia.logs.tables import read_table
+from fusion_sfdia.logs.cell_tables import read_table
+from fusion_sfdia.study.comparison.compare import ComparisonResult
 
 TOY = """
 from toy_plants import chain
@@ -89,7 +89,7 @@ def test_tune_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Path, 
     assert call(capsys, "check-log", *plant, "--data", "b.csv", "--tuned", "louder.toml")[0] == 0
     given: list[Any] = []
     with monkeypatch.context() as patch:
-        patch.setattr("fusion_sfdia.comparison.compare.compare", lambda **settings: given.append(settings) or NOTHING)
+        patch.setattr("fusion_sfdia.study.comparison.compare.compare", lambda **settings: given.append(settings) or NOTHING)
         assert call(capsys, "compare", "--plants", "toy.py:make", "--tuned", "louder.toml")[0] == 0
     assert given[0]["plants"].sensors[0].noise_sigma == 2.0
     code, _, err = call(capsys, "compare", "--tuned", "louder.toml")

@@ -17,11 +17,11 @@ from diagnosis_schema import require_event
 from toy_plants import readings, tanks
 
 from fusion_sfdia.cli.main import main
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.diagnosis.recorded import diagnose
 from fusion_sfdia.logs.csv_log import write_log
 from fusion_sfdia.logs.reading import load_log
-from fusion_sfdia.named import diagnose
+from fusion_sfdia.plant.plant import Plant
 
 PATIENCE = 120  # s, after which the test fails instead of hanging
 DETECTOR = ["--plant", "two-tanks", "--detector", "loo-chi2"]
@@ -118,7 +118,7 @@ def test_a_watch_that_is_killed_and_started_again_has_written_the_same_events(tm
 
 
 def test_a_tuned_detector_watches(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], log: Path) -> None:
-    from fusion_sfdia.tuning.tuned import Tuned
+    from fusion_sfdia.learning.tuning.tuned import Tuned
 
     class Found(Tuned):
         def detector(self, plant: Plant, detector: object = None) -> LeaveOneOutBank:

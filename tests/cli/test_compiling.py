@@ -18,11 +18,11 @@ from fusion_sfdia.cli.compiling import announced, compile_detector, postponed
 from fusion_sfdia.cli.main import detector_of, parser
 
 COMPILED = """
-from fusion_sfdia import registry
+from fusion_sfdia.detectors import registry
 from fusion_sfdia.cli.compiling import compile_detector
-from fusion_sfdia.core.linear import linear_plant
+from fusion_sfdia.plant.linear import linear_plant
 from fusion_sfdia.filters import factors, small, sparse, sums
-from fusion_sfdia.kalman_banks import bank_kernels, quiet, window_kernels
+from fusion_sfdia.detectors.kalman_banks import bank_kernels, quiet, window_kernels
 
 def found():
     modules = bank_kernels, window_kernels, quiet, factors, small, sparse, sums
@@ -41,7 +41,7 @@ assert found() == before and sum(map(bool, before.values())) > 4, found()
 
 def test_a_module_of_which_something_is_compiled_is_announced_once(capsys: pytest.CaptureFixture[str]) -> None:
     one, two, other = (numba.njit(lambda x: x + 1), numba.njit(lambda x: x + 2), numba.njit(lambda x: x + 3))
-    other.py_func.__module__ = "fusion_sfdia.core.other"
+    other.py_func.__module__ = "fusion_sfdia.plant.other"
     with announced():
         assert (one(1), two(1), other(1)) == (2, 3, 4)
     lines = "fusion-sfdia: compiling, once: {}\n"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fusion_sfdia.cli.options import exit_code
-from fusion_sfdia.core.verdicts import Verdict
+from fusion_sfdia.detectors.verdicts import Verdict
 
 
 def code(fail_on: str | None, state: Verdict, *kinds: tuple[str, float], misread: bool = False, diverged: bool = False) -> int:

@@ -15,19 +15,19 @@ import numpy as np
 import pytest
 from toy_plants import readings, tanks
 
-from fusion_sfdia import registry
 from fusion_sfdia.cli.main import main
-from fusion_sfdia.core.saved_detectors import load_detector, save_detector
-from fusion_sfdia.core.storage import load_state, read_arrays, save_state, write_arrays
-from fusion_sfdia.experiments.parts import read_part
-from fusion_sfdia.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.detectors.saved_detectors import load_detector, save_detector
+from fusion_sfdia.detectors.storage import load_state, read_arrays, save_state, write_arrays
+from fusion_sfdia.learning.tuning.tuned import Tuned, plant_table, settings_digest
 from fusion_sfdia.logs.csv_log import write_log
-from fusion_sfdia.tuning.tuned import Tuned, plant_table, settings_digest
+from fusion_sfdia.study.experiments.parts import read_part
 
 CANARY = """
 from dataclasses import dataclass
 from pathlib import Path
-from fusion_sfdia.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter
 
 Path({marker!r}).touch()
 

@@ -11,7 +11,7 @@ import pytest
 from diagnosis_schema import require_described
 
 from fusion_sfdia.cli.main import main
-from fusion_sfdia.core.log import Log
+from fusion_sfdia.plant.log import Log
 
 DT = 10.0
 NAMES = ("a [K]", "b [bar]", "c [K]", "d [m3/h]")

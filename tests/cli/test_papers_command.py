@@ -8,8 +8,8 @@ import pytest
 
 from fusion_sfdia.cli.main import main
 from fusion_sfdia.cli.papers import PAPERS
-from fusion_sfdia.evaluation.results import read_rows
-from fusion_sfdia.scenarios import SCENARIOS, scenario
+from fusion_sfdia.report.results import read_rows
+from fusion_sfdia.study.scenarios import SCENARIOS, scenario
 
 
 def test_every_paper_has_scenarios_and_every_scenario_known_papers() -> None:

@@ -11,8 +11,8 @@ import pytest
 from test_monitor_command import DT, made, written
 
 from fusion_sfdia.cli.main import main
-from fusion_sfdia.core.log import Log
-from fusion_sfdia.learning.monitor import Monitor
+from fusion_sfdia.learning.monitor.monitor import Monitor
+from fusion_sfdia.plant.log import Log
 
 OWN = ["--inputs", "load", "--ignore", "remark"]
 

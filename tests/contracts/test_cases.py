@@ -7,12 +7,12 @@ import pickle
 import numpy as np
 import pytest
 
-from fusion_sfdia import registry
-from fusion_sfdia.comparison.protocol import SETTINGS, mismatch_cases
-from fusion_sfdia.comparison.recordings import mismatched, simulated
-from fusion_sfdia.comparison.subjects import cases_of, compared_plant, plant_of
-from fusion_sfdia.core.uncertainty import equation_of, error_of
-from fusion_sfdia.kalman_banks.hypotheses import Hypotheses
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.detectors.kalman_banks.hypotheses import Hypotheses
+from fusion_sfdia.plant.uncertainty import equation_of, error_of
+from fusion_sfdia.study.comparison.protocol import SETTINGS, mismatch_cases
+from fusion_sfdia.study.comparison.recordings import mismatched, simulated
+from fusion_sfdia.study.comparison.subjects import cases_of, compared_plant, plant_of
 
 PLANTS = [name for name, entry in registry.plants().items() if entry.cases]
 STEPS, START = 12, 6  # samples

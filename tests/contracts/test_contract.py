@@ -16,25 +16,26 @@ from optional_packages import REGISTERED, STRUCTURAL
 from scipy.stats import betabinom, binom
 from toy_plants import Array, chain
 
-from fusion_sfdia import builders, registry
-from fusion_sfdia.builders import CALIBRATION_SEEDS, CALIBRATION_STEPS, WARM_UP, healthy_data
-from fusion_sfdia.checks.detectors import DETECTOR_CHECKS
-from fusion_sfdia.checks.plants import PLANT_CHECKS
-from fusion_sfdia.checks.readings import Healthy, healthy_readings
-from fusion_sfdia.checks.require import require_same_state
-from fusion_sfdia.core.detector import Detector, run
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.state import State
-from fusion_sfdia.core.storage import load_state, save_state
-from fusion_sfdia.data_driven.ewma_limits import EwmaLimits
-from fusion_sfdia.data_driven.fixed_limits import FixedLimits
-from fusion_sfdia.data_driven.one_class import OneClass
-from fusion_sfdia.data_driven.pca import PrincipalComponents
-from fusion_sfdia.detectors import FALSE_ALARM
-from fusion_sfdia.evaluation.simulate import Recording, simulate
-from fusion_sfdia.frozen_model.frozen_bank import FrozenBank
-from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
-from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.detectors.data_driven.ewma_limits import EwmaLimits
+from fusion_sfdia.detectors.data_driven.fixed_limits import FixedLimits
+from fusion_sfdia.detectors.data_driven.one_class import OneClass
+from fusion_sfdia.detectors.data_driven.pca import PrincipalComponents
+from fusion_sfdia.detectors.detector import Detector, run
+from fusion_sfdia.detectors.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.detectors.named import FALSE_ALARM
+from fusion_sfdia.detectors.state import State
+from fusion_sfdia.detectors.storage import load_state, save_state
+from fusion_sfdia.detectors.structural_residuals.structural_residuals import StructuralResiduals
+from fusion_sfdia.diagnosis.simulate import Recording, simulate
+from fusion_sfdia.learning import builders
+from fusion_sfdia.learning.builders import CALIBRATION_SEEDS, CALIBRATION_STEPS, WARM_UP, healthy_data
+from fusion_sfdia.learning.checks.detectors import DETECTOR_CHECKS
+from fusion_sfdia.learning.checks.plants import PLANT_CHECKS
+from fusion_sfdia.learning.checks.readings import Healthy, healthy_readings
+from fusion_sfdia.learning.checks.require import require_same_state
+from fusion_sfdia.learning.frozen_model.frozen_bank import FrozenBank
+from fusion_sfdia.plant.plant import Plant
 
 TOYS = ("chain", "two-tanks")
 WITH_MODULES = {"marine-engine", "two-tanks"}

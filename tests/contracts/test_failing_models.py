@@ -9,19 +9,19 @@ import pytest
 from process_bank import ProcessBank
 from toy_plants import Array, chain, readings, tanks
 
-from fusion_sfdia.core.detector import Decision, Detector, run
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.signals import Signal
-from fusion_sfdia.evaluation.trials import decide, faulted, outcome
+from fusion_sfdia.detectors.detector import Decision, Detector, run
+from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.detectors.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.detectors.kalman_banks.particle_filter import ParticleFilter
 from fusion_sfdia.filters.enkf import EnKFSettings
 from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, GaussianParticles, Unscented
 from fusion_sfdia.filters.filterpy_estimators import FilterpyExtended, FilterpyUnscented
 from fusion_sfdia.filters.guarded_steps import guarded_points
 from fusion_sfdia.filters.ukf import SigmaPoints
-from fusion_sfdia.kalman_banks.central_filter import CentralFilter
-from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
-from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.kalman_banks.particle_filter import ParticleFilter
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.signals import Signal
+from fusion_sfdia.study.trials import decide, faulted, outcome
 
 ROOT = Ensemble(EnKFSettings(size=8, method="square-root"))
 PLANT = tanks()
@@ -171,7 +171,7 @@ def test_a_campaign_and_a_calibration_go_on() -> None:
 
 
 def test_the_gas_pipeline_is_a_plant_too() -> None:
-    from fusion_sfdia.evaluation.simulate import simulate
+    from fusion_sfdia.diagnosis.simulate import simulate
     from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 
     usual: Plant = gas_pipeline()

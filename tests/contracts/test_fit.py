@@ -14,15 +14,16 @@ from optional_packages import REGISTERED, needs_toolbox
 from scipy.stats import betabinom
 from toy_plants import chain, readings, tanks
 
-from fusion_sfdia import registry
-from fusion_sfdia.core.batch_detector import BatchDetector
-from fusion_sfdia.core.detector import Decision, run
-from fusion_sfdia.core.log import Log
-from fusion_sfdia.core.saved_detectors import load_detector, save_detector
-from fusion_sfdia.evaluation.simulate import Recording, simulate
-from fusion_sfdia.kalman_banks.central_filter import CentralFilter
-from fusion_sfdia.named import diagnose, fit
-from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.detectors.batch_detector import BatchDetector
+from fusion_sfdia.detectors.detector import Decision, run
+from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.detectors.saved_detectors import load_detector, save_detector
+from fusion_sfdia.detectors.structural_residuals.structural_residuals import StructuralResiduals
+from fusion_sfdia.diagnosis.recorded import diagnose
+from fusion_sfdia.diagnosis.simulate import Recording, simulate
+from fusion_sfdia.learning.builders import fit
+from fusion_sfdia.plant.log import Log
 
 PLANT = "two-tanks"
 RATE = 0.02

@@ -31,7 +31,7 @@ def python(code: str, cwd: Path, *options: str) -> str:
         "import fusion_sfdia",
         "from fusion_sfdia.cli.main import parser; parser().format_help()",
         "import fusion_sfdia; fusion_sfdia.__version__; dir(fusion_sfdia)",
-        "from fusion_sfdia import registry; registry.plants(), registry.detectors()",
+        "from fusion_sfdia.detectors import registry; registry.plants(), registry.detectors()",
         "from fusion_sfdia.cli.main import main; main(['list', 'detectors'])",
     ],
 )

@@ -12,9 +12,9 @@ import pytest
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 from toy_plants import Array, chain
 
-from fusion_sfdia import Physics, Sensor, Signal, discretise, registry, simulate
-from fusion_sfdia.core.detector import run
-from fusion_sfdia.core.plant import Plant
+from fusion_sfdia import Physics, Sensor, Signal, discretise, simulate
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.detectors.detector import run
 from fusion_sfdia.filters.filterpy_adapter import plant_from_filterpy
 from fusion_sfdia.models.marine_engine.equilibrium import equilibrium
 from fusion_sfdia.models.marine_engine.faults import EngineFault
@@ -25,6 +25,7 @@ from fusion_sfdia.models.power_network.model import network_model
 from fusion_sfdia.models.power_network.operation import AreaFault, Switch
 from fusion_sfdia.models.power_network.plant import network_physics, power_network
 from fusion_sfdia.models.two_tanks.plant import tank_physics, two_tanks
+from fusion_sfdia.plant.plant import Plant
 
 
 def fading(t: float, x: Array, z: Array, u: Array, c: object) -> Array:

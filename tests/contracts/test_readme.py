@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from fusion_sfdia import Fault, registry
+from fusion_sfdia import Fault
+from fusion_sfdia.detectors import registry
 
 
 @pytest.fixture

@@ -18,14 +18,14 @@ from fusion_sfdia import (
     Sensor,
     Signal,
     linear_plant,
-    registry,
     run,
     simulate,
 )
-from fusion_sfdia.core.log import Log
-from fusion_sfdia.core.redundancy import redundancy
-from fusion_sfdia.core.state import leaves
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.detectors.state import leaves
 from fusion_sfdia.models.two_tanks.plant import two_tanks
+from fusion_sfdia.plant.log import Log
+from fusion_sfdia.plant.redundancy import redundancy
 
 FAULT, OUT_UNTIL = 20, 40
 

@@ -37,7 +37,7 @@ def test_every_table_of_a_page_is_that_of_its_numbers(root: Path, pages: ModuleT
 
 
 def test_the_page_of_the_kinds_of_faults_is_that_of_its_numbers(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """At least as many are named rightly as the test of a few of them assumes, see tests/evaluation/test_kind_trials.py."""
+    """At least as many are named rightly as the test of a few of them assumes, see tests/study/test_kind_trials.py."""
     monkeypatch.syspath_prepend(str(folder))
     kinds = importlib.import_module("fault_kinds")
     rows = kinds.load()

@@ -55,9 +55,9 @@ def test_rows_are_watched_and_taken_up_again(printed: Callable[[str], str]) -> N
 
 
 def test_nodes_and_topics_are_those_of_the_tank(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from fusion_sfdia.detectors.registry import plant
     from fusion_sfdia.live.nodes import load_nodes
     from fusion_sfdia.live.topics import load_topics
-    from fusion_sfdia.registry import plant
 
     monkeypatch.chdir(folder)
     assert load_nodes("nodes.toml", plant("tank.py:make")).write["level_1"]["sigma"] == "ns=2;s=T1.LT1.sigma"

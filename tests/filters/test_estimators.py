@@ -11,20 +11,21 @@ from numpy.typing import NDArray
 from rounding import rounding
 from toy_plants import chain, readings
 
-from fusion_sfdia import registry
-from fusion_sfdia.core.detector import Detector, NotApplicableError, run
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.uncertainty import Uncertainty
+from fusion_sfdia.common.errors import NotApplicableError
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.detectors.detector import Detector, run
+from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.detectors.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.detectors.kalman_banks.moving_horizon_bank import MovingHorizon
+from fusion_sfdia.detectors.kalman_banks.multiple_model import MultipleModel
+from fusion_sfdia.detectors.kalman_banks.particle_filter import ParticleFilter
+from fusion_sfdia.detectors.kalman_banks.sequential_bank import SequentialBank
 from fusion_sfdia.filters import ukf
 from fusion_sfdia.filters.estimators import Ensemble, Extended, Unscented
 from fusion_sfdia.filters.ukf import SigmaPoints
-from fusion_sfdia.kalman_banks.central_filter import CentralFilter
-from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
-from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.kalman_banks.moving_horizon_bank import MovingHorizon
-from fusion_sfdia.kalman_banks.multiple_model import MultipleModel
-from fusion_sfdia.kalman_banks.particle_filter import ParticleFilter
-from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.uncertainty import Uncertainty
 
 Array = NDArray[Any]
 STEPS = 25

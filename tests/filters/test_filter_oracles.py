@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.integration import runge_kutta_4
 from fusion_sfdia.filters import ekf, enkf, ukf
 from fusion_sfdia.filters.enkf import EnKFSettings
 from fusion_sfdia.filters.gaussian import condition
 from fusion_sfdia.filters.ukf import SigmaPoints
+from fusion_sfdia.plant.integration import runge_kutta_4
 
 Array = NDArray[Any]
 

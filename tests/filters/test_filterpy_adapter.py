@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters import ekf, enkf, ukf
 from fusion_sfdia.filters.filterpy_adapter import plant_from_filterpy, sigma_points
 from fusion_sfdia.filters.gaussian import condition
+from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 

@@ -10,16 +10,16 @@ from rounding import rounding
 from toy_plants import Array, chain, readings, tanks
 from turning_car import car, turning
 
-from fusion_sfdia import registry
-from fusion_sfdia.builders import PAPER_FILTERS, as_printed
-from fusion_sfdia.core.detector import Decision, run
-from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.detectors.detector import Decision, run
+from fusion_sfdia.detectors.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, Unscented, step_stream
 from fusion_sfdia.filters.filterpy_estimators import FilterpyExtended, FilterpyUnscented
 from fusion_sfdia.filters.gaussian import dense
 from fusion_sfdia.filters.ukf import SigmaPoints
-from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.learning.builders import PAPER_FILTERS, as_printed
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
+from fusion_sfdia.plant.plant import Plant
 
 STEPS, ONSET = 30, 14
 WIDE = SigmaPoints(alpha=0.5)

@@ -7,11 +7,11 @@ import pytest
 from joints import of_update
 from numpy.typing import NDArray
 
-from fusion_sfdia import registry
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.detectors.kalman_banks.leave_one_out import posterior, statistics
 from fusion_sfdia.filters import ekf
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.filters.repeated import repeated_readings
-from fusion_sfdia.kalman_banks.leave_one_out import posterior, statistics
 
 Array = NDArray[np.float64]
 STATES, SENSORS, RUNS = 5, 18, 4  # enough sensors for statistics that are not written out

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from rounding import rounding
 
-from fusion_sfdia import registry
+from fusion_sfdia.detectors import registry
 from fusion_sfdia.filters import ekf
 from fusion_sfdia.filters.sparse import congruence, variances
 

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion_sfdia.core.areas import Areas
-from fusion_sfdia.core.network import Network, Topology
-from fusion_sfdia.core.plant import Array
-from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, Prediction, initial_state, predict, take
+from fusion_sfdia.detectors.stochastic_thresholds.consensus import Diagnosers, Prediction, initial_state, predict, take
+from fusion_sfdia.plant.areas import Areas
+from fusion_sfdia.plant.network import Network, Topology
+from fusion_sfdia.plant.plant import Array
 
 TOPOLOGY = Topology.joined(["a", "b", "c", "d"], [("a", "b"), ("b", "c"), ("c", "d")])
 AB, BA, BC, CB, CD, DC = range(6)  # sides: AB is where a reads the first state of b

@@ -7,11 +7,11 @@ from functools import cache
 import numpy as np
 from toy_plants import chain, readings, tanks
 
-from fusion_sfdia.core.detector import Decision, run
-from fusion_sfdia.core.plant import Array, Plant
-from fusion_sfdia.evaluation.simulate import simulate
+from fusion_sfdia.detectors.detector import Decision, run
+from fusion_sfdia.detectors.stochastic_thresholds.chebyshev import Chebyshev
+from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.models.power_network.plant import power_network
-from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
+from fusion_sfdia.plant.plant import Array, Plant
 
 RUNS, STEPS, SETTLED = 300, 40, 10
 WATCHING = {"accommodate": False}

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from fusion_sfdia.core.areas import Areas
-from fusion_sfdia.core.plant import Array
-from fusion_sfdia.stochastic_thresholds import consensus_equations as equations
-from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, Prediction
-from fusion_sfdia.stochastic_thresholds.consensus_equations import UNKNOWN
+from fusion_sfdia.detectors.stochastic_thresholds import consensus_equations as equations
+from fusion_sfdia.detectors.stochastic_thresholds.consensus import Diagnosers, Prediction
+from fusion_sfdia.detectors.stochastic_thresholds.consensus_equations import UNKNOWN
+from fusion_sfdia.plant.areas import Areas
+from fusion_sfdia.plant.plant import Array
 
 
 def predict(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: float, mode: str) -> Prediction:

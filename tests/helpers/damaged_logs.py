@@ -8,7 +8,7 @@ from datetime import timedelta
 import numpy as np
 from realistic_logs import DT, SUMMER, UNITS, Logged, iso
 
-from fusion_sfdia.logs.findings import LoadedLog
+from fusion_sfdia.logs.loaded_log import LoadedLog
 
 ROWS = 60
 FORMS = ("seconds", "stamps", "digits", "wholes")

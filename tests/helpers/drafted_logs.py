@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.signals import Sensor, Signal
 
 Array = np.ndarray
 STEPS, DT = 200, 60.0

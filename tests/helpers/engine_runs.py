@@ -7,9 +7,9 @@ from functools import cache
 
 import numpy as np
 
-from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
-from fusion_sfdia.core.detector import Decision, run
-from fusion_sfdia.evaluation.simulate import Recording, simulate
+from fusion_sfdia.detectors.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
+from fusion_sfdia.detectors.detector import Decision, run
+from fusion_sfdia.diagnosis.simulate import Recording, simulate
 from fusion_sfdia.models.marine_engine.plant import marine_engine
 
 ENGINE = marine_engine()

@@ -6,7 +6,7 @@ S(2){3}, E(2,3) the residual of module M(2,3). Only single faults are printed; a
 
 from __future__ import annotations
 
-from fusion_sfdia.adaptive_thresholds.signatures import Agent
+from fusion_sfdia.detectors.adaptive_thresholds.signatures import Agent
 from fusion_sfdia.models.marine_engine.published import SIGNATURES, PrintedTable
 
 SENSORS = ("f1(1)", "f1(2)", "f2(2)", "f3(2)", "f1(3)", "f2(3)", "f3(3)", "f1(4)", "f2(4)", "f3(4)")

@@ -26,14 +26,15 @@ KERNELS = {"Prescott": ("SSE3", "X86_V2"), "Haswell": ("AVX2", "X86_V3"), "Skyla
 # folders and files with little arithmetic of their own: the command line, reports, scenario runs, files and processes,
 # FMUs, which calculate by themselves
 NOT_NUMERICAL = (
-    "benchmarks", "cli", "comparison", "experiments", "fmu", "live", "logs", "monitoring", "mutants", "report", "study",
-    "test_architecture.py", "test_diagnose.py", "test_engine_virtual_sensors.py", "test_entrances.py", "test_entry_points.py",
-    "test_events.py",
-    "test_files.py", "test_kind_trials.py", "test_lag.py", "test_nomenclature.py", "test_notebooks.py", "test_package.py",
-    "test_project_files.py", "test_readme.py",
-    "test_references.py", "test_registry.py", "test_results_pages.py", "test_site.py",
-    "test_site_examples.py", "test_storage.py",
-    "test_valve_log.py",
+    "benchmarks", "cli", "comparison", "experiments", "fmu", "live", "logs", "mutants", "outlier_detectors",
+    "test_architecture.py", "test_blind.py", "test_diagnose.py", "test_diagnosis_document.py", "test_engine_virtual_sensors.py",
+    "test_entrances.py", "test_entry_points.py", "test_events.py", "test_figure_files.py", "test_files.py",
+    "test_hostile_texts.py", "test_kind_trials.py", "test_lag.py", "test_log_report.py", "test_nomenclature.py",
+    "test_notebooks.py", "test_package.py", "test_progress.py", "test_project_files.py", "test_readme.py", "test_references.py",
+    "test_registry.py", "test_report.py", "test_report_browser.py", "test_results_pages.py", "test_row_order.py",
+    "test_sample_tables.py", "test_second_look.py", "test_site.py", "test_site_examples.py", "test_slow_sensors.py",
+    "test_storage.py", "test_study_after_tuning.py", "test_study_audit.py", "test_study_errors.py", "test_study_robustness.py",
+    "test_valve_log.py", "test_watch.py", "test_watch_states.py",
 )  # fmt: skip
 # The contract on the two largest plants takes as long as all else, that of slow references nearly so; their numbers are in the
 # tests of the plants and of the filters themselves.
@@ -42,7 +43,7 @@ LEFT_OUT = (
     "contracts",
     "frozen_model",
     "inspection",
-    "learning",
+    "monitor",
     "tuning",
 )  # with OLDEST: whole models and detectors, for minutes
 SMALL = ("-k", "not (test_contract and (gas-pipeline or power-network or filterpy))")

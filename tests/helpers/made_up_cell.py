@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.comparison.cell import ComparisonCell
-from fusion_sfdia.comparison.protocol import SETTINGS
-from fusion_sfdia.comparison.subjects import compared_plant
+from fusion_sfdia.study.comparison.cell import ComparisonCell
+from fusion_sfdia.study.comparison.protocol import SETTINGS
+from fusion_sfdia.study.comparison.subjects import compared_plant
 
 Arrays = dict[str, NDArray[Any]]
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.log import Log
-from fusion_sfdia.core.signals import Signal
+from fusion_sfdia.plant.log import Log
+from fusion_sfdia.plant.signals import Signal
 
 Array = NDArray[Any]
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from realistic_logs import HEADER, LOG, PLAIN, Logged, comma, iso, local
 
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.logs.findings import LoadedLog
+from fusion_sfdia.logs.loaded_log import LoadedLog
 from fusion_sfdia.logs.reading import load_log
+from fusion_sfdia.plant.plant import Plant
 
 ROWS = 12
 TOLERANT = 'duplicates = "last"\norder = "sort"\nhold = true\nbad = ["Bad", "I/O Timeout", "#N/A", "--", "x", "12 kg"]\n'

@@ -6,7 +6,7 @@ from importlib.util import find_spec
 
 import pytest
 
-from fusion_sfdia import registry
+from fusion_sfdia.detectors import registry
 
 NAME = "structural-residuals"
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from toy_plants import Array
 
-from fusion_sfdia.core.batch_detector import TimeStep
-from fusion_sfdia.core.detector import Decision, ProcessHypothesis
-from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.detectors.batch_detector import TimeStep
+from fusion_sfdia.detectors.detector import Decision, ProcessHypothesis
+from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 
 OUTLET = ProcessHypothesis("outlet", "m2.5/s", "parameter", 6e-4)
 INFLOW = ProcessHypothesis("error of inflow", "m3/s", "input", 0.0)

@@ -11,8 +11,8 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.signals import Sensor, Signal
 
 Array = np.ndarray
 STEPS, DT = 240, 60.0

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from fusion_sfdia.core.equation import equation
-from fusion_sfdia.intervals.interval import Interval
+from fusion_sfdia.common.equation import equation
+from fusion_sfdia.derivatives.intervals.interval import Interval
 
 
 @equation

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 from threadpoolctl import threadpool_limits
 
-from fusion_sfdia.experiments.scenario import Arrays, Task
 from fusion_sfdia.report.content import Summary
-from fusion_sfdia.scenarios import scenario
+from fusion_sfdia.study.experiments.scenario import Arrays, Task
+from fusion_sfdia.study.scenarios import scenario
 
 PIPELINE = {"steps": 75}
 RECORDED = Path(__file__).resolve().parents[3] / "shared" / "fixtures" / "tep_braatz"  # next to the checkout

@@ -6,8 +6,8 @@ from functools import cache
 
 import pytest
 
-from fusion_sfdia import registry
-from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.plant.plant import Plant
 
 pytest.importorskip("faultdiagnosistoolbox", reason="structural residuals need faultdiagnosistoolbox")
 PLANTS = ("two-tanks", "marine-engine")

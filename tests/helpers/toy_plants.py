@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.linear import linear_plant
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.signals import Sensor, Signal
-from fusion_sfdia.core.uncertainty import Parameter, Uncertainty
 from fusion_sfdia.filters.gaussian import sample
 from fusion_sfdia.models.two_tanks.plant import tank_modules as tank_modules
 from fusion_sfdia.models.two_tanks.plant import tank_physics as tank_physics
 from fusion_sfdia.models.two_tanks.plant import two_tanks as tanks  # noqa: F401
+from fusion_sfdia.plant.linear import linear_plant
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.signals import Sensor, Signal
+from fusion_sfdia.plant.uncertainty import Parameter, Uncertainty
 
 Array = NDArray[Any]
 

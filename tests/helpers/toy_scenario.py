@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.core.random_streams import stream
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
+from fusion_sfdia.common.random_streams import stream
 from fusion_sfdia.report.content import Chapter, Figure, Summary, Table
 from fusion_sfdia.report.plots import panels, time_series
+from fusion_sfdia.report.results import Row
+from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 
 NASTY = '<script>alert(1)</script> & "quotes" -->'
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia import Plant, Sensor, Signal
-from fusion_sfdia.core.log import Log
+from fusion_sfdia.plant.log import Log
 
 Array = NDArray[Any]
 

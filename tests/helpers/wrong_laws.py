@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.log import Log
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.plant_groups import Numerics
-from fusion_sfdia.core.signals import Sensor, Signal
-from fusion_sfdia.core.uncertainty import Parameter, Uncertainty
+from fusion_sfdia.plant.log import Log
+from fusion_sfdia.plant.plant import Numerics, Plant
+from fusion_sfdia.plant.signals import Sensor, Signal
+from fusion_sfdia.plant.uncertainty import Parameter, Uncertainty
 
 Array = NDArray[Any]
 Flow = Callable[[Array, Array, Array], Array]  # of x (..., n), u (..., m), theta (..., p): rates, or readings

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from toy_plants import tanks
 
-from fusion_sfdia.kalman_banks.central_filter import CentralFilter
-from fusion_sfdia.live.rows import TextRows
-from fusion_sfdia.live.watch import Watch
+from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.diagnosis.watch import Watch
+from fusion_sfdia.live.text_rows import TextRows
 from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.logs.reading import load_log
 

@@ -19,12 +19,12 @@ import pytest
 from toy_plants import readings, tanks
 
 from fusion_sfdia.cli.main import main
-from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.diagnosis.watch import Watch
 from fusion_sfdia.live import mqtt
 from fusion_sfdia.live.saving import SavedWatch
 from fusion_sfdia.live.topics import Topics, load_topics
 from fusion_sfdia.live.values import Value, Values
-from fusion_sfdia.live.watch import Watch
 
 paho = pytest.importorskip("paho.mqtt.client")
 

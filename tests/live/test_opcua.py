@@ -17,11 +17,11 @@ import pytest
 from toy_plants import changed, readings, tanks
 
 from fusion_sfdia.cli.main import main
-from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.diagnosis.watch import Watch
 from fusion_sfdia.live import opcua
 from fusion_sfdia.live.nodes import load_nodes
 from fusion_sfdia.live.saving import SavedWatch
-from fusion_sfdia.live.watch import Watch
 
 pytest.importorskip("asyncua")
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from toy_plants import chain
 
-from fusion_sfdia.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.diagnosis.watch import Watch
 from fusion_sfdia.live.saving import SavedWatch
-from fusion_sfdia.live.watch import Watch
 
 
 def rows(count: int) -> list[tuple[float, np.ndarray, np.ndarray]]:

@@ -18,12 +18,12 @@ import pytest
 from toy_plants import tanks
 
 from fusion_sfdia.cli.main import main
-from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.diagnosis.watch import Watch
 from fusion_sfdia.live import mqtt, opcua, security
 from fusion_sfdia.live.nodes import Nodes, load_nodes
 from fusion_sfdia.live.saving import SavedWatch
 from fusion_sfdia.live.topics import Topics
-from fusion_sfdia.live.watch import Watch
 
 x509 = pytest.importorskip("cryptography.x509")
 URI = "urn:example.org:FreeOpcUa:opcua-asyncio"  # of asyncua's clients

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from toy_plants import readings, tanks
 
-from fusion_sfdia.core.verdicts import Verdict
-from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.detectors.verdicts import Verdict
+from fusion_sfdia.diagnosis.watch import Watch
 from fusion_sfdia.live.saving import SavedWatch
 from fusion_sfdia.live.status import Report, Status, beating, endpoint, served
-from fusion_sfdia.live.watch import Watch
 
 START = datetime(2026, 3, 1, 14, 0, tzinfo=UTC)
 PATIENCE = 60  # s, after which the test fails instead of hanging

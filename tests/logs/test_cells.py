@@ -12,16 +12,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fusion_sfdia.core.linear import linear_plant
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.signals import Sensor, Signal
-from fusion_sfdia.learning.unmodelled_logs import load, signals_of
-from fusion_sfdia.live.rows import TextRows
+from fusion_sfdia.learning.monitor.unmodelled_logs import load, signals_of
+from fusion_sfdia.live.text_rows import TextRows
 from fusion_sfdia.logs.columns import split_title
-from fusion_sfdia.logs.findings import LoadedLog
+from fusion_sfdia.logs.loaded_log import LoadedLog
 from fusion_sfdia.logs.log_map import Column, LogMap, load_map
 from fusion_sfdia.logs.reading import load_log
-from fusion_sfdia.logs.rows import row_reader
+from fusion_sfdia.logs.single_rows import row_reader
+from fusion_sfdia.plant.linear import linear_plant
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.signals import Sensor, Signal
 
 
 def pump(names: Sequence[str] = ("level", "flow"), inputs: Sequence[Signal] = (Signal("power", "W", 2000.0),)) -> Plant:

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from toy_plants import chain, changed, tanks
 
-from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.logs.csv_log import read_log, write_log
 from fusion_sfdia.logs.log_map import LogMap
+from fusion_sfdia.plant.signals import Signal
 
 HEADER = "time,l1,l2,q12,q2"
 ROW = "1,1.0,1.0,6e-4,6e-4"

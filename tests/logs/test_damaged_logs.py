@@ -10,9 +10,9 @@ import pytest
 from damaged_logs import DT, clean, damaged, misread
 from realistic_logs import vessel
 
-from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.logs.log_map import PLAIN_MAP, UNTIL_THE_SAMPLE, LogMap
 from fusion_sfdia.logs.reading import load_log
+from fusion_sfdia.plant.signals import Signal
 
 WHOLE = vessel()
 # in the numbers of the file

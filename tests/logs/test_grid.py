@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from toy_plants import tanks
 
-from fusion_sfdia.learning.unmodelled_logs import load as load_monitored
-from fusion_sfdia.learning.unmodelled_logs import signals_of
-from fusion_sfdia.live.rows import TextRows
-from fusion_sfdia.logs.findings import LoadedLog
+from fusion_sfdia.learning.monitor.unmodelled_logs import load as load_monitored
+from fusion_sfdia.learning.monitor.unmodelled_logs import signals_of
+from fusion_sfdia.live.text_rows import TextRows
+from fusion_sfdia.logs.loaded_log import LoadedLog
 from fusion_sfdia.logs.log_map import Column, LogMap
 from fusion_sfdia.logs.reading import load_log
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from toy_plants import tanks
 
-from fusion_sfdia.logs.findings import LoadedLog
+from fusion_sfdia.logs.loaded_log import LoadedLog
 from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.logs.reading import read_log
 from fusion_sfdia.logs.times import Expected

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from fusion_sfdia.logs import plain
+from fusion_sfdia.logs.cell_tables import read_table
 from fusion_sfdia.logs.log_map import PLAIN_MAP
 from fusion_sfdia.logs.plain import plain_lines, shortened
-from fusion_sfdia.logs.tables import read_table
 
 
 def plain_table(path: Path) -> tuple[list[str], np.ndarray] | None:

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from fusion_sfdia.cli.main import main
-from fusion_sfdia.core.linear import linear_plant
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.logs.log_map import Column, LogMap, load_map
 from fusion_sfdia.logs.problems import LogError, Problem, Problems
 from fusion_sfdia.logs.reading import load_log
+from fusion_sfdia.plant.linear import linear_plant
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.signals import Sensor, Signal
 
 
 def boiler() -> Plant:

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from toy_plants import Array, tanks
 
-from fusion_sfdia.core.detector import MissingPackageError
-from fusion_sfdia.core.log import as_log
-from fusion_sfdia.core.signals import Signal
-from fusion_sfdia.logs.findings import LoadedLog
+from fusion_sfdia.common.errors import MissingPackageError
+from fusion_sfdia.logs.as_log import as_log
+from fusion_sfdia.logs.loaded_log import LoadedLog
 from fusion_sfdia.logs.log_map import Column, LogMap
 from fusion_sfdia.logs.reading import load_log
+from fusion_sfdia.plant.signals import Signal
 
 PLANT = tanks()
 TITLES = ["time", "l1", "l2", "q12", "q2", "inflow"]
@@ -68,7 +68,7 @@ def test_duplicates(tmp_path: Path, rule: str, expected: float) -> None:
         load(tmp_path, cells)
 
 
-def test_order(tmp_path: Path) -> None:
+def test_row_order(tmp_path: Path) -> None:
     found = load(tmp_path, rows()[::-1], order="sort")
     np.testing.assert_array_equal(found.log.y, Y)
     assert words(found, "order") == ["rows sorted by time: the newest came first"]

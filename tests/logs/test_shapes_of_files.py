@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from realistic_logs import vessel
 
-from fusion_sfdia.logs.findings import LoadedLog
 from fusion_sfdia.logs.kinds import LINES, MAGIC, PARQUET, TDMS
+from fusion_sfdia.logs.loaded_log import LoadedLog
 from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.logs.reading import load_log
 

@@ -10,15 +10,16 @@ import pytest
 from realistic_logs import vessel
 from toy_plants import tanks
 
-from fusion_sfdia import registry, two_tanks
-from fusion_sfdia.core.log import Log
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.fault_draws import draw_apart
-from fusion_sfdia.evaluation.fault_effects import apply_faults
-from fusion_sfdia.evaluation.simulate import Recording, simulate
-from fusion_sfdia.logs.findings import REMARKABLE
+from fusion_sfdia import two_tanks
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.diagnosis.fault_draws import draw_apart
+from fusion_sfdia.diagnosis.fault_effects import apply_faults
+from fusion_sfdia.diagnosis.simulate import Recording, simulate
+from fusion_sfdia.logs.loaded_log import REMARKABLE
 from fusion_sfdia.logs.mix_ups import mix_up
 from fusion_sfdia.logs.suspects import suspected_units
+from fusion_sfdia.plant.log import Log
+from fusion_sfdia.plant.plant import Plant
 
 STEPS = 200
 

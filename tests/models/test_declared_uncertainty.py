@@ -12,10 +12,8 @@ import pytest
 from numpy.typing import NDArray
 from rounding import rounding
 
-from fusion_sfdia import registry
-from fusion_sfdia.core.augment import augment
-from fusion_sfdia.core.equation import difference_jacobian
-from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.common.equation import difference_jacobian
+from fusion_sfdia.detectors import registry
 from fusion_sfdia.models.gas_pipeline.physics import pipeline_parameters
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.models.marine_engine.faults import EngineFault
@@ -26,6 +24,8 @@ from fusion_sfdia.models.power_network.parameters import generate_network
 from fusion_sfdia.models.power_network.plant import power_network
 from fusion_sfdia.models.power_network.unknown import altered
 from fusion_sfdia.models.two_tanks.plant import INFLOW, two_tanks
+from fusion_sfdia.plant.augment import augment
+from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 EPS = np.finfo(float).eps

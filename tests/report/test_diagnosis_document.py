@@ -11,12 +11,12 @@ from diagnosis_schema import require_described
 from process_bank import ProcessBank
 from toy_plants import Array, readings, tanks
 
-from fusion_sfdia.core.clock import Clock
-from fusion_sfdia.core.log import Log
-from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run
+from fusion_sfdia.common.clock import Clock
+from fusion_sfdia.diagnosis.diagnose import Diagnosis, diagnose_run
 from fusion_sfdia.logs.columns import Source
 from fusion_sfdia.logs.conversion import conversion
-from fusion_sfdia.logs.findings import Finding, LoadedLog
+from fusion_sfdia.logs.loaded_log import Finding, LoadedLog
+from fusion_sfdia.plant.log import Log
 from fusion_sfdia.report.document import as_json
 from fusion_sfdia.report.log_page import About
 from fusion_sfdia.report.log_units import LogUnits

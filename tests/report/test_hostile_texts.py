@@ -15,17 +15,17 @@ from matplotlib.figure import Figure
 from toy_plants import readings, tanks
 
 from fusion_sfdia.cli.main import main
-from fusion_sfdia.core.plain_text import ACTING, FORMULA, plain
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.results import Row, read_rows, write_rows
-from fusion_sfdia.experiments.provenance import versions
-from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.common.plain_text import ACTING, FORMULA, plain
+from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.diagnosis.recorded import diagnose
 from fusion_sfdia.logs.csv_log import read_log, write_log
-from fusion_sfdia.named import diagnose
+from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.figure_files import figure_svg, write_figure
 from fusion_sfdia.report.log_page import About
 from fusion_sfdia.report.log_report import write_diagnosis
 from fusion_sfdia.report.plots import entry, legend_above, panels, roc_curves, time_series
+from fusion_sfdia.report.results import Row, read_rows, write_rows
+from fusion_sfdia.study.experiments.provenance import versions
 
 ESCAPE = "\x1b]0;title\x07\x1b[31m"
 NAMES = (

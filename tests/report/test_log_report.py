@@ -15,15 +15,15 @@ from matplotlib.dates import num2date
 from process_bank import SD, SIZE, ProcessBank
 from toy_plants import Array, readings, tanks
 
-from fusion_sfdia.core.clock import Clock
-from fusion_sfdia.core.gaps import Gap
-from fusion_sfdia.core.log import Log
-from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run
-from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.common.clock import Clock
+from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.diagnosis.diagnose import Diagnosis, diagnose_run
+from fusion_sfdia.diagnosis.recorded import diagnose
 from fusion_sfdia.logs.columns import Source
 from fusion_sfdia.logs.conversion import conversion
 from fusion_sfdia.logs.csv_log import read_log
-from fusion_sfdia.named import diagnose
+from fusion_sfdia.plant.gaps import Gap
+from fusion_sfdia.plant.log import Log
 from fusion_sfdia.report.log_figures import MOST_POINTS, broken, thinned, time_axis
 from fusion_sfdia.report.log_page import About, write_page
 from fusion_sfdia.report.log_report import FILES, as_text, draw, write_diagnosis

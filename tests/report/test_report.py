@@ -14,10 +14,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure as Drawing
 from toy_scenario import NASTY, TOY
 
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.runner import run_scenarios
 from fusion_sfdia.report.figure_files import write_figure
-from fusion_sfdia.report.findings import left_out, listed, pick, span
 from fusion_sfdia.report.page import inline, number
 from fusion_sfdia.report.plots import (
     COLOURS,
@@ -29,6 +26,9 @@ from fusion_sfdia.report.plots import (
     panels,
     roc_curves,
 )
+from fusion_sfdia.report.results import Row
+from fusion_sfdia.report.sentences import left_out, listed, pick, span
+from fusion_sfdia.study.experiments.runner import run_scenarios
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 

@@ -13,13 +13,13 @@ import pytest
 from toy_plants import readings, tanks
 from toy_scenario import TOY
 
-from fusion_sfdia.core.log import Log
-from fusion_sfdia.evaluation.diagnose import diagnose_run
-from fusion_sfdia.experiments.runner import run_scenarios
-from fusion_sfdia.experiments.scenario import Arrays, Settings, Task
-from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.diagnosis.diagnose import diagnose_run
+from fusion_sfdia.plant.log import Log
 from fusion_sfdia.report.content import Summary
 from fusion_sfdia.report.log_page import About, write_page
+from fusion_sfdia.study.experiments.runner import run_scenarios
+from fusion_sfdia.study.experiments.scenario import Arrays, Settings, Task
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="needs the optional package selenium")
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")

@@ -6,10 +6,11 @@ from functools import cache
 
 import pytest
 
-from fusion_sfdia import registry, tune
-from fusion_sfdia.core.detector import Detector
+from fusion_sfdia import tune
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.detectors.detector import Detector
 from fusion_sfdia.study.audit import outcomes, result_of
-from fusion_sfdia.study.protocol import CASES, Case, trial
+from fusion_sfdia.study.error_protocol import CASES, Case, trial
 
 BY_NAME = {case.name: case for case in CASES}
 RUNS, LENGTH = 8, 600

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fusion_sfdia import registry
-from fusion_sfdia.comparison.subjects import cases_of, compared_plant
-from fusion_sfdia.evaluation.results import Row, write_rows
-from fusion_sfdia.experiments.scenario import Arrays, Settings, Task, adjust
+from fusion_sfdia.detectors import registry
 from fusion_sfdia.report.plots import style
+from fusion_sfdia.report.results import Row, write_rows
 from fusion_sfdia.study import robustness_report as report
-from fusion_sfdia.study.protocol import CASES, stated_cases, trial
+from fusion_sfdia.study.comparison.subjects import cases_of, compared_plant
+from fusion_sfdia.study.error_protocol import CASES, stated_cases, trial
+from fusion_sfdia.study.experiments.scenario import Arrays, Settings, Task, adjust
 from fusion_sfdia.study.robustness import SCENARIO, rows_of
 
 TANKS = "two-tanks"

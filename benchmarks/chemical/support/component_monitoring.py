@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.evaluation.results import Published
+from fusion_sfdia.report.results import Published
 
 Array = NDArray[Any]
 

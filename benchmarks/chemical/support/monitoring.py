@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.chemical.support.recordings import MEASUREMENTS, VALVES, recording
 from fusion_sfdia.benchmarks.chemical.support.tasks import SIGMAS, sigmas
-from fusion_sfdia.core.detector import run
-from fusion_sfdia.core.log import Log
-from fusion_sfdia.core.signals import Signal
-from fusion_sfdia.experiments.scenario import Arrays, Task
-from fusion_sfdia.identification.choice import Candidate, ModelChoice, choose_model
-from fusion_sfdia.identification.runs import groups_of, runs_of
-from fusion_sfdia.kalman_banks.identifiability import identifiability
-from fusion_sfdia.monitoring.calibration import calibrate
-from fusion_sfdia.monitoring.methods import Methods
+from fusion_sfdia.detectors.detector import run
+from fusion_sfdia.detectors.kalman_banks.identifiability import identifiability
+from fusion_sfdia.learning.identification.choice import Candidate, ModelChoice, choose_model
+from fusion_sfdia.learning.identification.healthy_runs import groups_of, runs_of
+from fusion_sfdia.learning.outlier_detectors.calibration import calibrate
+from fusion_sfdia.learning.outlier_detectors.methods import Methods
+from fusion_sfdia.plant.log import Log
+from fusion_sfdia.plant.signals import Signal
+from fusion_sfdia.study.experiments.scenario import Arrays, Task
 
 Array = NDArray[Any]
 

@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import shown
-from fusion_sfdia.core.log import Log
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.signals import Signal
-from fusion_sfdia.core.uncertainty import Uncertainty
-from fusion_sfdia.identification.identify import identify
-from fusion_sfdia.identification.recording import without_repeats
+from fusion_sfdia.common.arguments import shown
+from fusion_sfdia.learning.identification.identify import identify
+from fusion_sfdia.learning.identification.recording import without_repeats
+from fusion_sfdia.plant.log import Log
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.signals import Signal
+from fusion_sfdia.plant.uncertainty import Uncertainty
 
 Array = NDArray[Any]
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.chemical.support.recordings import FAULTS, MEASUREMENTS, identified, recording
 from fusion_sfdia.benchmarks.chemical.support.tasks import SIGMAS, sigmas
-from fusion_sfdia.core.detector import Decision, Detector, run
-from fusion_sfdia.core.log import Log
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.experiments.scenario import Arrays, Task
-from fusion_sfdia.registry import find_detector
+from fusion_sfdia.detectors.detector import Decision, Detector, run
+from fusion_sfdia.detectors.registry import find_detector
+from fusion_sfdia.plant.log import Log
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.study.experiments.scenario import Arrays, Task
 
 Array = NDArray[Any]
 

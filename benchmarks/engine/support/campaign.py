@@ -14,25 +14,25 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
-from fusion_sfdia.adaptive_thresholds.diagnosis_sets import DiagnosisLogic
-from fusion_sfdia.adaptive_thresholds.monitored_plant import ENVELOPE
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, MOST_NOISE, engine, extremes
-from fusion_sfdia.builders import adaptive_threshold
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.random_streams import stream
-from fusion_sfdia.core.state import State, with_runs
-from fusion_sfdia.evaluation.diagnosis_metrics import Response
-from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, proportion, share
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.evaluation.simulate import simulate
-from fusion_sfdia.experiments.scenario import Arrays, Settings
+from fusion_sfdia.common.random_streams import stream
+from fusion_sfdia.detectors.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
+from fusion_sfdia.detectors.adaptive_thresholds.diagnosis_sets import DiagnosisLogic
+from fusion_sfdia.detectors.adaptive_thresholds.monitored_plant import ENVELOPE
+from fusion_sfdia.detectors.state import State, with_runs
+from fusion_sfdia.diagnosis.simulate import simulate
+from fusion_sfdia.learning.builders import adaptive_threshold
 from fusion_sfdia.models.marine_engine.equilibrium import engine_variables, equilibrium
 from fusion_sfdia.models.marine_engine.faults import EngineFault
 from fusion_sfdia.models.marine_engine.governor import governed_settings
 from fusion_sfdia.models.marine_engine.modules import alone as modules_alone
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters
 from fusion_sfdia.models.marine_engine.plant import marine_engine
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.report.metrics import Estimate, mean_over_runs, proportion, share
+from fusion_sfdia.report.results import Row
+from fusion_sfdia.study.diagnosis_metrics import Response
+from fusion_sfdia.study.experiments.scenario import Arrays, Settings
 
 Array = NDArray[Any]
 

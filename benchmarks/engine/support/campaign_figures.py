@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.engine.support.campaign import DRIVES
 from fusion_sfdia.benchmarks.engine.support.decisions import draw_modules
-from fusion_sfdia.experiments.scenario import Arrays, Settings
 from fusion_sfdia.models.marine_engine.plant import SENSORS
 from fusion_sfdia.models.marine_engine.published import Experiment, Offset
 from fusion_sfdia.report.content import Figure
 from fusion_sfdia.report.plots import COLOURS, DASHES, legend_above, panels
+from fusion_sfdia.study.experiments.scenario import Arrays, Settings
 
 Array = NDArray[Any]
 

@@ -9,16 +9,16 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 from matplotlib.lines import Line2D
 
-from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES, Array, Timeline, engine, row
-from fusion_sfdia.evaluation.diagnosis_metrics import exoneration_performance, isolation_performance
-from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, proportion
-from fusion_sfdia.evaluation.results import Published, Row
-from fusion_sfdia.experiments.scenario import Arrays
+from fusion_sfdia.detectors.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.models.marine_engine.published import Experiment
 from fusion_sfdia.report.content import Figure, Table
-from fusion_sfdia.report.findings import pick, span
+from fusion_sfdia.report.metrics import Estimate, mean_over_runs, proportion
 from fusion_sfdia.report.plots import COLOURS, Bars, bars, legend_above, panels
+from fusion_sfdia.report.results import Published, Row
+from fusion_sfdia.report.sentences import pick, span
+from fusion_sfdia.study.diagnosis_metrics import exoneration_performance, isolation_performance
+from fusion_sfdia.study.experiments.scenario import Arrays
 
 UNITS = {s.name: s.unit for s in engine(0.05, "K24").sensors}
 

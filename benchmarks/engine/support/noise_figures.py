@@ -9,14 +9,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES
-from fusion_sfdia.evaluation.diagnosis_metrics import Response
-from fusion_sfdia.evaluation.metrics import Estimate
-from fusion_sfdia.evaluation.results import Published, Row
 from fusion_sfdia.models.marine_engine.plant import SENSORS
 from fusion_sfdia.models.marine_engine.published import DELAYS, DELAYS_SOURCE, K24
 from fusion_sfdia.report.content import Figure
-from fusion_sfdia.report.findings import pick
+from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.plots import COLOURS, legend_above, panels
+from fusion_sfdia.report.results import Published, Row
+from fusion_sfdia.report.sentences import pick
+from fusion_sfdia.study.diagnosis_metrics import Response
 
 FAULTS = {"S(1){1}": 0.07, "S(2){3}": 0.65}  # share of the sensor's nominal value (K24, sec. VII)
 OWN, AGENTS, OTHERS = "own module", "other agents", "other modules"

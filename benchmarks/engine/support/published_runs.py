@@ -13,10 +13,10 @@ from fusion_sfdia.benchmarks.engine.support.decisions import (
     module_rows,
 )
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, published_first, timeline
-from fusion_sfdia.evaluation.results import Published, Row
-from fusion_sfdia.experiments.scenario import Arrays
 from fusion_sfdia.models.marine_engine.published import Experiment
 from fusion_sfdia.report.content import Figure, Table
+from fusion_sfdia.report.results import Published, Row
+from fusion_sfdia.study.experiments.scenario import Arrays
 
 PUBLISHED_TIMELINE = "the paper's own timeline"  # condition of rows of the decision logic on published alarm times
 

@@ -14,20 +14,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia import registry
-from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
-from fusion_sfdia.adaptive_thresholds.corner_bounds import Slopes
-from fusion_sfdia.core.detector import run
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.fault_effects import apply_faults
-from fusion_sfdia.evaluation.faults import Fault
-from fusion_sfdia.evaluation.results import row_of
-from fusion_sfdia.evaluation.simulate import Recording, simulate
-from fusion_sfdia.experiments.scenario import Arrays, Settings, Task, seed_blocks
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.detectors.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
+from fusion_sfdia.detectors.adaptive_thresholds.corner_bounds import Slopes
+from fusion_sfdia.detectors.detector import run
+from fusion_sfdia.diagnosis.fault_effects import apply_faults
+from fusion_sfdia.diagnosis.faults import Fault
+from fusion_sfdia.diagnosis.simulate import Recording, simulate
 from fusion_sfdia.models.marine_engine.equations import NOMINAL_SPEED
 from fusion_sfdia.models.marine_engine.modules import MODULES
 from fusion_sfdia.models.marine_engine.plant import marine_engine
 from fusion_sfdia.models.marine_engine.published import AT_NOMINAL_SPEED, DESIGNS, Offset
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.report.results import row_of
+from fusion_sfdia.study.experiments.scenario import Arrays, Settings, Task, seed_blocks
 
 Array = NDArray[Any]
 Results = Sequence[tuple[Task, Arrays]]

@@ -10,10 +10,10 @@ from matplotlib.lines import Line2D
 
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, NAMES, engine
 from fusion_sfdia.benchmarks.engine.support.virtual_trials import FAULTS, INTERSECTED, MAPE, PRINTED, SINCE, SIZED, VARIANTS
-from fusion_sfdia.evaluation.metrics import proportion
-from fusion_sfdia.experiments.scenario import Arrays
 from fusion_sfdia.report.content import Figure
+from fusion_sfdia.report.metrics import proportion
 from fusion_sfdia.report.plots import COLOURS, Bars, bars, legend_above, panels
+from fusion_sfdia.study.experiments.scenario import Arrays
 
 TRUE, FOUND, INSTANT, LOWER, UPPER = COLOURS[0], COLOURS[2], COLOURS[4], COLOURS[1], COLOURS[3]
 DRAWN = {INTERSECTED: FOUND, PRINTED: INSTANT}

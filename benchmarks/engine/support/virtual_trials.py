@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from fusion_sfdia.adaptive_thresholds.virtual_sensors import VirtualSensors
 from fusion_sfdia.benchmarks.engine.support.trials import (
     CHUNK,
     DETECTORS,
@@ -26,9 +25,10 @@ from fusion_sfdia.benchmarks.engine.support.trials import (
     tasks,
     trial,
 )
-from fusion_sfdia.evaluation.results import AT_MOST, Published
-from fusion_sfdia.experiments.scenario import Arrays, Settings, Task, seed_blocks
+from fusion_sfdia.detectors.adaptive_thresholds.virtual_sensors import VirtualSensors
 from fusion_sfdia.models.marine_engine.published import Offset
+from fusion_sfdia.report.results import AT_MOST, Published
+from fusion_sfdia.study.experiments.scenario import Arrays, Settings, Task, seed_blocks
 
 NAME, FAULT, DETECTOR = "engine/virtual-sensors", "three-faults", "virtual-sensors"
 V22 = "Kougiatsos and Reppa 2022, sec. 5, one run"

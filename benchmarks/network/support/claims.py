@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from fusion_sfdia.benchmarks.network.support.residuals import B18
-from fusion_sfdia.evaluation.results import AT_MOST, Published, Row
-from fusion_sfdia.stochastic_thresholds.threshold_rules import CONFORMAL
+from fusion_sfdia.detectors.stochastic_thresholds.threshold_rules import CONFORMAL
+from fusion_sfdia.report.results import AT_MOST, Published, Row
 
 ALPHAS = (2.0, 5.0, 10.0)
 B18_ALPHA = 2.0  # B18, sec. VIII

@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE
 from fusion_sfdia.report.content import Figure, Table
-from fusion_sfdia.report.findings import span
 from fusion_sfdia.report.plots import COLOURS, Bars, bars, legend_above, panels
+from fusion_sfdia.report.results import Row
+from fusion_sfdia.report.sentences import span
 
 ALONE = "alone"
 WEIGHTS = ("corrected", "paper")  # modes of consensus: (17) as it should be and as printed

@@ -25,11 +25,11 @@ from fusion_sfdia.benchmarks.network.support.claims import (
     claim_kept,
 )
 from fusion_sfdia.benchmarks.network.support.residuals import CORRECTED, MEMORYLESS, PAPER, VARIANTS
-from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE
 from fusion_sfdia.report.content import Figure, Table
-from fusion_sfdia.report.findings import span
 from fusion_sfdia.report.plots import COLOURS, MARKERS, Bars, bars, legend_above, panels
+from fusion_sfdia.report.results import Row
+from fusion_sfdia.report.sentences import span
 
 SYMBOLS = {  # of the groups of components
     **{f"theta, {k} sharers": f"θ\n{k} sharers" for k in (2, 3, 4)},

@@ -10,11 +10,11 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
-from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE
 from fusion_sfdia.report.content import Figure, Table
-from fusion_sfdia.report.findings import span
 from fusion_sfdia.report.plots import COLOURS, DASHES, legend_above, panels
+from fusion_sfdia.report.results import Row
+from fusion_sfdia.report.sentences import span
 
 Array = NDArray[Any]
 

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.areas import Areas
+from fusion_sfdia.detectors.stochastic_thresholds.consensus import Diagnosers, NetworkReadings, initial_state
+from fusion_sfdia.detectors.stochastic_thresholds.network_step import network_step
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import NetworkModel
 from fusion_sfdia.models.power_network.simulation import Draw, NetworkSample
-from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, NetworkReadings, initial_state
-from fusion_sfdia.stochastic_thresholds.network_step import network_step
+from fusion_sfdia.plant.areas import Areas
 
 Array = NDArray[Any]
 

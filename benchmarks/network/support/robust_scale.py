@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.state import leaves
-from fusion_sfdia.experiments.scenario import Arrays
-from fusion_sfdia.experiments.timing import best_times
-from fusion_sfdia.kalman_banks.area_banks import RobustAreas
-from fusion_sfdia.kalman_banks.hypotheses import SLOW_STEP
+from fusion_sfdia.detectors.kalman_banks.area_banks import RobustAreas
+from fusion_sfdia.detectors.kalman_banks.hypotheses import SLOW_STEP
+from fusion_sfdia.detectors.state import leaves
 from fusion_sfdia.models.power_network.area_plant import local_areas
 from fusion_sfdia.models.power_network.model import NetworkModel
 from fusion_sfdia.models.power_network.simulation import run_network
+from fusion_sfdia.study.experiments.scenario import Arrays
+from fusion_sfdia.study.experiments.timing import best_times
 
 Array = NDArray[Any]
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.evaluation.metrics import Estimate, bootstrap_over_runs, mean_over_runs
-from fusion_sfdia.evaluation.results import Published, Row, row_of
+from fusion_sfdia.report.metrics import Estimate, bootstrap_over_runs, mean_over_runs
+from fusion_sfdia.report.results import Published, Row, row_of
 
 Array = NDArray[Any]
 

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.areas import Areas
-from fusion_sfdia.experiments.scenario import Settings
+from fusion_sfdia.detectors.registry import require_known
+from fusion_sfdia.detectors.stochastic_thresholds.consensus import Diagnosers, initial_state, predict, take
+from fusion_sfdia.detectors.stochastic_thresholds.fault_hypotheses import FaultHypotheses
 from fusion_sfdia.models.power_network.accommodation import Compensated
 from fusion_sfdia.models.power_network.control import Control, PredictiveControl, generation_control
 from fusion_sfdia.models.power_network.diagnosis import network_areas
@@ -19,9 +20,8 @@ from fusion_sfdia.models.power_network.model import NetworkModel
 from fusion_sfdia.models.power_network.operation import AreaFault, Switch, load_profile
 from fusion_sfdia.models.power_network.parameters import load_steps
 from fusion_sfdia.models.power_network.simulation import NetworkSample, run_network
-from fusion_sfdia.registry import require_known
-from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, initial_state, predict, take
-from fusion_sfdia.stochastic_thresholds.fault_hypotheses import FaultHypotheses
+from fusion_sfdia.plant.areas import Areas
+from fusion_sfdia.study.experiments.scenario import Settings
 
 Array = NDArray[Any]
 Arrays = dict[str, Array]

@@ -9,16 +9,16 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.detector import Decision, Detector, chosen, stack
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.state import chosen_runs
-from fusion_sfdia.evaluation.trials import Faulted
+from fusion_sfdia.detectors.detector import Decision, Detector, chosen, stack
+from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.detectors.kalman_banks.excluding_bank import ExcludingBank
+from fusion_sfdia.detectors.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.detectors.kalman_banks.multiple_model import MultipleModel
+from fusion_sfdia.detectors.state import chosen_runs
 from fusion_sfdia.filters.estimators import Core, Ensemble, GaussianState, Prior, Reading
 from fusion_sfdia.filters.gaussian import Joint
-from fusion_sfdia.kalman_banks.central_filter import CentralFilter
-from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank
-from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
-from fusion_sfdia.kalman_banks.multiple_model import MultipleModel
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.study.trials import Faulted
 
 Array = NDArray[Any]
 OF_ESTIMATORS = (CentralFilter, ExcludingBank, FusingBank, MultipleModel)

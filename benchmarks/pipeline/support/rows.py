@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.pipeline.support.trials import AFTERMATH, SENSORS, SETTLE, cases
-from fusion_sfdia.evaluation import detection_metrics as metrics
-from fusion_sfdia.evaluation.metrics import NOTHING, Estimate, proportion
-from fusion_sfdia.evaluation.results import Published, Row, row_of
-from fusion_sfdia.evaluation.trials import join, unpack
-from fusion_sfdia.experiments.scenario import Arrays, Task
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
+from fusion_sfdia.report.metrics import NOTHING, Estimate, proportion
 from fusion_sfdia.report.plots import Bars
+from fusion_sfdia.report.results import Published, Row, row_of
+from fusion_sfdia.study import detection_metrics as metrics
+from fusion_sfdia.study.experiments.scenario import Arrays, Task
+from fusion_sfdia.study.trials import join, unpack
 
 Array = NDArray[Any]
 Shown = Mapping[tuple[str, str], Estimate | None]

@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia import registry
 from fusion_sfdia.benchmarks.pipeline.support.forks import decisions
-from fusion_sfdia.builders import fusing_bank
-from fusion_sfdia.core.detector import Detector
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.fault_draws import PRESETS, FaultRange
-from fusion_sfdia.evaluation.simulate import Recording, simulate
-from fusion_sfdia.evaluation.trials import Faulted, outcome, with_faults
-from fusion_sfdia.experiments.scenario import Arrays, Settings, Task, seed_blocks
-from fusion_sfdia.kalman_banks.fusing_bank import FEEDBACKS
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.detectors.detector import Detector
+from fusion_sfdia.detectors.kalman_banks.fusing_bank import FEEDBACKS
+from fusion_sfdia.diagnosis.fault_draws import PRESETS, FaultRange
+from fusion_sfdia.diagnosis.simulate import Recording, simulate
+from fusion_sfdia.learning.builders import fusing_bank
 from fusion_sfdia.models.gas_pipeline.plant import PROCESS_NOISE, SIGMA, coarse_state, gas_pipeline
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.study.experiments.scenario import Arrays, Settings, Task, seed_blocks
+from fusion_sfdia.study.trials import Faulted, outcome, with_faults
 
 Array = NDArray[Any]
 Results = Sequence[tuple[Task, Arrays]]

@@ -14,11 +14,11 @@ import numpy as np
 from filterpy.kalman import EnsembleKalmanFilter, ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.equation import complex_step_jacobian
-from fusion_sfdia.core.integration import runge_kutta_4
-from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.common.equation import complex_step_jacobian
 from fusion_sfdia.filters.gaussian import dense
 from fusion_sfdia.models.gas_pipeline.physics import pipeline_parameters, pipeline_physics
+from fusion_sfdia.plant.integration import runge_kutta_4
+from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 Call = Callable[[], Array]

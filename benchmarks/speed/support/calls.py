@@ -12,12 +12,12 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from fusion_sfdia.core.detector import Decision, Detector
-from fusion_sfdia.core.state import State
-from fusion_sfdia.evaluation.metrics import NOTHING
-from fusion_sfdia.evaluation.results import Row, row_of
-from fusion_sfdia.evaluation.simulate import simulate
-from fusion_sfdia.experiments.timing import turns_of
+from fusion_sfdia.detectors.detector import Decision, Detector
+from fusion_sfdia.detectors.state import State
+from fusion_sfdia.diagnosis.simulate import simulate
+from fusion_sfdia.report.metrics import NOTHING
+from fusion_sfdia.report.results import Row, row_of
+from fusion_sfdia.study.experiments.timing import turns_of
 
 Call = Callable[[], object]
 Key = TypeVar("Key", bound=Hashable)

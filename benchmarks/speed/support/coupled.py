@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from fusion_sfdia.core.linear import linear_plant
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.signals import Sensor
+from fusion_sfdia.plant.linear import linear_plant
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.signals import Sensor
 
 
 def coupled(sensors: int) -> Plant:

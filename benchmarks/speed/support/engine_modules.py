@@ -12,15 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.benchmarks.engine.support.campaign import noise, steady_detector, truth
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES
-from fusion_sfdia.core.equation import argument_names
-from fusion_sfdia.core.modules import Modules
-from fusion_sfdia.intervals.codac_adapter import codac_sivia
-from fusion_sfdia.intervals.expression import Expression, record
-from fusion_sfdia.intervals.interval import Interval
-from fusion_sfdia.intervals.sivia import Paving
+from fusion_sfdia.common.equation import argument_names
+from fusion_sfdia.derivatives.intervals.codac_adapter import codac_sivia
+from fusion_sfdia.derivatives.intervals.expression import Expression, record
+from fusion_sfdia.derivatives.intervals.interval import Interval
+from fusion_sfdia.derivatives.intervals.sivia import Paving
+from fusion_sfdia.detectors.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
+from fusion_sfdia.plant.modules import Modules
 
 Call = Callable[[], object]
 

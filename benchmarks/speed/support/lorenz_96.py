@@ -17,13 +17,13 @@ from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.speed.support.against_filterpy import MEMBERS, Model, step_call
-from fusion_sfdia.core.discretise import discretise
-from fusion_sfdia.core.equation import complex_step_jacobian
-from fusion_sfdia.core.physics import Physics
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.common.equation import complex_step_jacobian
 from fusion_sfdia.filters import ekf, enkf, ukf
 from fusion_sfdia.filters.gaussian import condition
+from fusion_sfdia.plant.discretise import discretise
+from fusion_sfdia.plant.physics import Physics
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.signals import Sensor, Signal
 
 Array = NDArray[Any]
 Call = Callable[[], Array]

@@ -19,10 +19,10 @@ from fusion_sfdia.benchmarks.engine.support import process_figures as engine_pro
 from fusion_sfdia.benchmarks.engine.support.campaign import VALID, first_firings, fork, noise, response, steady_detector, truth
 from fusion_sfdia.benchmarks.engine.support.noise_figures import AGENTS, FAULTS, OTHERS, OWN, condition, modules_of, published
 from fusion_sfdia.benchmarks.engine.support.trials import BIN, NAMES
-from fusion_sfdia.core.detector import run
+from fusion_sfdia.detectors.detector import run
 from fusion_sfdia.models.marine_engine.modules import MODULES
 from fusion_sfdia.models.marine_engine.plant import SENSORS
-from fusion_sfdia.scenarios import scenario
+from fusion_sfdia.study.scenarios import scenario
 
 
 def readings(seeds: range, steps: int = 60) -> np.ndarray:

@@ -22,10 +22,7 @@ from fusion_sfdia.benchmarks.engine.support.trials import (
     timeline,
     trial,
 )
-from fusion_sfdia.core.detector import run
-from fusion_sfdia.evaluation.diagnosis_metrics import smallest_detectable
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Arrays
+from fusion_sfdia.detectors.detector import run
 from fusion_sfdia.models.marine_engine.published import (
     SIGNATURES,
     THREE_FAULTS,
@@ -35,7 +32,10 @@ from fusion_sfdia.models.marine_engine.published import (
     minimum_fault,
     signatures,
 )
-from fusion_sfdia.scenarios import scenario
+from fusion_sfdia.report.results import Row
+from fusion_sfdia.study.diagnosis_metrics import smallest_detectable
+from fusion_sfdia.study.experiments.scenario import Arrays
+from fusion_sfdia.study.scenarios import scenario
 
 
 def value(rows: list[Row], **expected: str) -> float:

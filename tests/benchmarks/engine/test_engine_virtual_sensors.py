@@ -24,10 +24,10 @@ from fusion_sfdia.benchmarks.engine.support.virtual_trials import (
     virtual_sensors,
 )
 from fusion_sfdia.benchmarks.engine.virtual_sensors import sensor_rows
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Arrays
 from fusion_sfdia.models.marine_engine.published import Offset
-from fusion_sfdia.scenarios import scenario
+from fusion_sfdia.report.results import Row
+from fusion_sfdia.study.experiments.scenario import Arrays
+from fusion_sfdia.study.scenarios import scenario
 
 NAME = "engine/virtual-sensors"
 

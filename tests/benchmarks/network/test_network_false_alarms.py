@@ -8,9 +8,9 @@ import pytest
 from fusion_sfdia.benchmarks.network.false_alarms import counts, one_shock
 from fusion_sfdia.benchmarks.network.support.claims import ALPHAS, CONSECUTIVE, SINGLE, Counted, claim_kept
 from fusion_sfdia.benchmarks.network.support.residuals import draw_of, groups, owners
-from fusion_sfdia.core.random_streams import stream
-from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.common.random_streams import stream
 from fusion_sfdia.models.power_network.model import network_model
+from fusion_sfdia.report.results import Row
 
 
 @pytest.mark.parametrize("law", ["gaussian", "three-point 2"])

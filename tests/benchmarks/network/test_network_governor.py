@@ -8,7 +8,7 @@ from fusion_sfdia.benchmarks.network.support.trials import ALPHA, BOUND, LAM, Wa
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import network_model
 from fusion_sfdia.models.power_network.operation import Switch
-from fusion_sfdia.scenarios import scenario
+from fusion_sfdia.study.scenarios import scenario
 
 
 def test_deterministic_thresholds_bound_the_residuals_of_bounded_noise() -> None:

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from fusion_sfdia.benchmarks.network import scale as network_scale
-from fusion_sfdia.experiments.timing import best_times
 from fusion_sfdia.report.content import Summary
-from fusion_sfdia.scenarios import scenario
+from fusion_sfdia.study.experiments.timing import best_times
+from fusion_sfdia.study.scenarios import scenario
 
 SCALE = scenario("network/scale")
 

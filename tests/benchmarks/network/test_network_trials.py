@@ -11,7 +11,7 @@ import pytest
 from fusion_sfdia.benchmarks.network.support.rows import row, spread, time_rows
 from fusion_sfdia.benchmarks.network.support.trials import join_runs
 from fusion_sfdia.models.power_network.published import ATTACKS, GOVERNOR, SIGN_FLIP
-from fusion_sfdia.scenarios import scenario
+from fusion_sfdia.study.scenarios import scenario
 
 
 def test_published_times_state_their_source() -> None:

@@ -7,14 +7,14 @@ import pytest
 from toy_plants import chain
 
 from fusion_sfdia.benchmarks.pipeline.support.forks import decisions
-from fusion_sfdia.core.detector import Decision, Detector
-from fusion_sfdia.core.state import Array, State
-from fusion_sfdia.evaluation.fault_draws import FaultRange
-from fusion_sfdia.evaluation.trials import Faulted, decide, faulted, with_faults
+from fusion_sfdia.detectors.detector import Decision, Detector
+from fusion_sfdia.detectors.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.detectors.state import Array, State
+from fusion_sfdia.diagnosis.fault_draws import FaultRange
 from fusion_sfdia.filters.enkf import EnKFSettings
 from fusion_sfdia.filters.estimators import Ensemble, Extended
-from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
-from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.study.trials import Faulted, decide, faulted, with_faults
 
 STEPS, RUNS = 80, 3
 PLANT = chain(6)

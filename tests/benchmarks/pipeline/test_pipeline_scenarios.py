@@ -5,20 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fusion_sfdia import registry
 from fusion_sfdia.benchmarks.pipeline.accommodation import READING
 from fusion_sfdia.benchmarks.pipeline.support.rows import JudgedRuns, aftermath, detection_rows, judged_runs
 from fusion_sfdia.benchmarks.pipeline.support.trials import tasks, trial
-from fusion_sfdia.builders import as_printed
-from fusion_sfdia.evaluation import detection_metrics, isolation_metrics
-from fusion_sfdia.evaluation.fault_draws import FaultRange
-from fusion_sfdia.evaluation.trials import decide, faulted, outcome
-from fusion_sfdia.kalman_banks import window_step
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.detectors.kalman_banks import window_step
+from fusion_sfdia.diagnosis.fault_draws import FaultRange
+from fusion_sfdia.learning.builders import as_printed
 from fusion_sfdia.models.gas_pipeline import published
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.models.two_tanks.plant import two_tanks
-from fusion_sfdia.scenarios import scenario
+from fusion_sfdia.study import detection_metrics, isolation_metrics
+from fusion_sfdia.study.scenarios import scenario
+from fusion_sfdia.study.trials import decide, faulted, outcome
 
 SETTINGS = {"steps": 150, "snr": "moderate", "process_noise": "tenth", "feedback": "federated", "truth": "finer"}
 

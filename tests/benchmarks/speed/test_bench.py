@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fusion_sfdia import registry
 from fusion_sfdia.benchmarks.engine.support.campaign import truth
 from fusion_sfdia.benchmarks.speed import bank, bench, campaigns, logs, model, network, own, scaling, workers
 from fusion_sfdia.benchmarks.speed.support import engine_modules, lorenz_96, peers
@@ -17,17 +16,18 @@ from fusion_sfdia.benchmarks.speed.support.calls import Timed, timed, timed_rows
 from fusion_sfdia.benchmarks.speed.support.local_cluster import secure_cluster
 from fusion_sfdia.benchmarks.speed.support.processes import timed_process
 from fusion_sfdia.cli.main import main
-from fusion_sfdia.core.equation import argument_names
-from fusion_sfdia.evaluation.results import read_rows
-from fusion_sfdia.experiments.cluster import connected
-from fusion_sfdia.experiments.scenario import Arrays, Task
-from fusion_sfdia.experiments.timing import best_times
-from fusion_sfdia.experiments.workers import Piece
+from fusion_sfdia.common.equation import argument_names
+from fusion_sfdia.detectors import registry
 from fusion_sfdia.filters import ekf, ukf
 from fusion_sfdia.filters.gaussian import condition, dense
 from fusion_sfdia.logs.csv_log import read_log
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.models.marine_engine.modules import MODULES
+from fusion_sfdia.report.results import read_rows
+from fusion_sfdia.study.experiments.cluster import connected
+from fusion_sfdia.study.experiments.scenario import Arrays, Task
+from fusion_sfdia.study.experiments.timing import best_times
+from fusion_sfdia.study.experiments.workers import Piece
 
 SHORT = 1e-3  # s
 

@@ -13,7 +13,7 @@ import pytest
 from fusion_sfdia.benchmarks.speed import growth
 from fusion_sfdia.benchmarks.speed.support import counting
 from fusion_sfdia.benchmarks.speed.support.counting import Work, counted
-from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.report.results import Row
 
 TOY = """
 import numpy as np

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fusion_sfdia import registry
 from fusion_sfdia.benchmarks.speed import bench
 from fusion_sfdia.benchmarks.speed.roofline import Work, least
+from fusion_sfdia.detectors import registry
 
 EQUATIONS = """
 import numpy as np
-from fusion_sfdia.core.dual import dual
-from fusion_sfdia.core.equation import compiled, equation
+from fusion_sfdia.derivatives.dual import dual
+from fusion_sfdia.common.equation import compiled, equation
 
 @equation
 def square(x, c):

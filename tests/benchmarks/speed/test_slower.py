@@ -13,7 +13,7 @@ from fusion_sfdia.benchmarks.speed import history, slower
 from fusion_sfdia.benchmarks.speed.slower import FALSE_ALARM, Ratio, compared, confirmed
 from fusion_sfdia.benchmarks.speed.support.calls import Timed, timed_rows
 from fusion_sfdia.cli.main import main
-from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.report.results import Row
 
 ROWS = 50
 KEYS = [(f"row {i}",) for i in range(ROWS)]

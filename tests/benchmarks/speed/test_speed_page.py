@@ -9,7 +9,7 @@ from types import ModuleType
 import pytest
 
 from fusion_sfdia.benchmarks.speed.support.calls import Timed, time_row, timed_rows
-from fusion_sfdia.evaluation.results import write_rows
+from fusion_sfdia.report.results import write_rows
 
 
 @pytest.fixture

@@ -13,12 +13,10 @@ import pytest
 from numpy.typing import NDArray
 from rounding import rounding
 
-from fusion_sfdia.builders import PAPER_FILTERS
-from fusion_sfdia.core.equation import complex_step_jacobian
-from fusion_sfdia.core.integration import runge_kutta_4
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.simulate import simulate
+from fusion_sfdia.common.equation import complex_step_jacobian
+from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.filters.estimators import Ensemble, Unscented
+from fusion_sfdia.learning.builders import PAPER_FILTERS
 from fusion_sfdia.models.gas_pipeline import equations
 from fusion_sfdia.models.gas_pipeline.physics import (
     INLET_PRESSURE,
@@ -28,6 +26,8 @@ from fusion_sfdia.models.gas_pipeline.physics import (
     steady_state,
 )
 from fusion_sfdia.models.gas_pipeline.plant import SIGMA, coarse_state, demand, gas_pipeline
+from fusion_sfdia.plant.integration import runge_kutta_4
+from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 

@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from rounding import rounding
 from scipy.integrate import solve_ivp
 
-from fusion_sfdia.core.discretise import discretise
-from fusion_sfdia.core.equation import complex_step_jacobian, difference_jacobian
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.simulate import simulate
+from fusion_sfdia.common.equation import complex_step_jacobian, difference_jacobian
+from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.models.marine_engine import equations
 from fusion_sfdia.models.marine_engine.equilibrium import engine_variables, equilibrium
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters
 from fusion_sfdia.models.marine_engine.physics import decay_rates, engine_physics
 from fusion_sfdia.models.marine_engine.plant import SENSORS, SUBSYSTEMS, marine_engine
+from fusion_sfdia.plant.discretise import discretise
+from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 EPS = np.finfo(float).eps

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fusion_sfdia.evaluation.simulate import simulate
+from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.models.marine_engine.faults import PROCESS_FAULTS, EngineFault, parameter_schedule
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters
 from fusion_sfdia.models.marine_engine.plant import marine_engine

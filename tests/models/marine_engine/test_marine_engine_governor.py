@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fusion_sfdia.evaluation.simulate import simulate
+from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.models.marine_engine.faults import EngineFault
 from fusion_sfdia.models.marine_engine.governor import Governor, governed_settings
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from toy_plants import changed
 
-from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
-from fusion_sfdia.core.detector import run
-from fusion_sfdia.evaluation.simulate import simulate
+from fusion_sfdia.detectors.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
+from fusion_sfdia.detectors.detector import run
+from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.models.marine_engine.equations import STATES
 from fusion_sfdia.models.marine_engine.modules import GAINS, MODULES, OBSERVER_BOUNDS, alone
 from fusion_sfdia.models.marine_engine.plant import SENSORS, marine_engine

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from network_loop import rates
 
-from fusion_sfdia.core.equation import complex_step_jacobian
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.simulate import simulate
+from fusion_sfdia.common.equation import complex_step_jacobian
+from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.models.power_network import equations
 from fusion_sfdia.models.power_network.area_model import area_model
 from fusion_sfdia.models.power_network.control import generation_control
@@ -16,6 +15,7 @@ from fusion_sfdia.models.power_network.model import network_model
 from fusion_sfdia.models.power_network.operation import AreaFault, Switch
 from fusion_sfdia.models.power_network.parameters import load_network
 from fusion_sfdia.models.power_network.plant import network_physics, power_network
+from fusion_sfdia.plant.plant import Plant
 
 MODEL = network_model()
 RNG = np.random.default_rng(1)

@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 from rounding import rounding
 
-from fusion_sfdia.core.local_areas import Group, LocalAreas
 from fusion_sfdia.models.power_network.area_plant import local_areas
 from fusion_sfdia.models.power_network.model import NetworkModel, network_model
 from fusion_sfdia.models.power_network.plant import network_sensors, power_network
 from fusion_sfdia.models.power_network.unknown import altered
+from fusion_sfdia.plant.local_areas import Group, LocalAreas
 
 Array = NDArray[Any]
 

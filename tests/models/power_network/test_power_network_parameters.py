@@ -10,7 +10,6 @@ import pytest
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from fusion_sfdia.core.network import Network, Topology
 from fusion_sfdia.models.power_network.parameters import (
     DYNAMIC,
     NETWORK_FILE,
@@ -19,6 +18,7 @@ from fusion_sfdia.models.power_network.parameters import (
     load_network,
     load_steps,
 )
+from fusion_sfdia.plant.network import Network, Topology
 
 TEXT = NETWORK_FILE.read_text(encoding="utf-8")
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from fusion_sfdia.detectors.stochastic_thresholds.consensus import NetworkReadings, initial_state
+from fusion_sfdia.detectors.stochastic_thresholds.network_step import network_step
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import NetworkModel, network_model
 from fusion_sfdia.models.power_network.parameters import generate_network
 from fusion_sfdia.models.power_network.running import RunningNetwork
-from fusion_sfdia.stochastic_thresholds.consensus import NetworkReadings, initial_state
-from fusion_sfdia.stochastic_thresholds.network_step import network_step
 
 ARRAYS = ("matrices", "slope", "shared_gain", "process_variance", "noise", "shared_noise")
 

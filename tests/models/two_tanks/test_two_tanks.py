@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fusion_sfdia import registry
-from fusion_sfdia.evaluation.simulate import simulate
-from fusion_sfdia.intervals.interval import Interval
+from fusion_sfdia.derivatives.intervals.interval import Interval
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.models.two_tanks.plant import EQUATIONS, INFLOW, SWING_PERIOD, Tanks, tank_physics, two_tanks
 
 EPS = np.finfo(float).eps

@@ -1,0 +1,1 @@
+"""What every room uses: arguments, errors, files, clocks, texts."""

@@ -1,0 +1,1 @@
+"""Detectors: their contract, their names, and a folder for each family."""

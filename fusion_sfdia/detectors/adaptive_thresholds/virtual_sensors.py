@@ -1,0 +1,251 @@
+"""Detector: virtual sensors, which estimate a sensor's fault and send the reading without it to the other modules (V22).
+
+V22: Kougiatsos and Reppa 2022, "A distributed virtual sensor scheme for marine fuel engines", IFAC-PapersOnLine 55-31, 333-338.
+Thresholds are those of `adaptive_threshold`. When the module of a sensor fires (D = 1 in V22), the sensor is assumed to have a
+constant offset f from then on. Its equation at the other readings bounds the healthy value, z in [lower, upper]; the observer
+of a state runs without its correction by that sensor. With noise within d,
+
+    f  in  y - [lower, upper] + [-d, d]                                                     (16), see below
+
+at each step, and in the intersection of these intervals over time. The middle is the estimate (17), and y_H = y - f^ is the
+reconstructed reading (11). The other modules receive y_H with the remaining interval in its noise bound, so that their
+thresholds remain guaranteed. An empty intersection means that the sensor has no constant offset, or that another sensor is
+faulty, too; the reading then counts as missing.
+
+As printed, (16) adds d where it must be subtracted; the middle is the same. V22 states no intersection over time, but shows an
+interval that narrows (its Fig. 4(d)), which intervals of single instants do not.
+
+If several modules fire at once, the isolated sensor is the one without which the fewest modules fire (V22 does not treat
+this case): the other modules may fire only because they read it. Everything computed from its readings is reset: observers
+restart from the envelope, and intervals that depend on it restart. If a fault first exceeds the threshold of another sensor's
+module, that sensor is isolated falsely: intervals are guaranteed only where every faulty sensor is isolated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.derivatives.intervals.interval import Interval
+from fusion_sfdia.detectors.adaptive_thresholds.adaptive_observer import Estimates, Rates, adapt
+from fusion_sfdia.detectors.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
+from fusion_sfdia.detectors.adaptive_thresholds.algebraic_bounds import enclosure
+from fusion_sfdia.detectors.adaptive_thresholds.fault_memory import FaultMemory
+from fusion_sfdia.detectors.adaptive_thresholds.monitoring import Settings, box, quantities_of
+from fusion_sfdia.detectors.batch_detector import BatchDetector, TimeStep, without_false_alarms
+from fusion_sfdia.detectors.detector import Decision
+from fusion_sfdia.detectors.state import State
+from fusion_sfdia.plant.modules import Modules
+
+Array = NDArray[Any]
+
+INVERSIONS = ("corners", "sivia")
+
+
+class ModuleBounds(NamedTuple):
+    """Observers after the step, x and error (B, S); bounds of each healthy value and whether its module fires (B, E)."""
+
+    x: Array
+    error: Array
+    low: Array
+    high: Array
+    firing: Array
+
+    def where(self, condition: Array, other: ModuleBounds) -> ModuleBounds:
+        """Return these runs where the condition (B,) holds, those of `other` elsewhere."""
+        return ModuleBounds(*(np.where(condition[:, None], a, b) for a, b in zip(self, other, strict=True)))
+
+
+@dataclass(frozen=True)
+class VirtualSensors(BatchDetector):
+    """Fault sizes and reconstructed readings on a plant whose `modules` state its equations; hypotheses are the sensors.
+
+    isolated: sensors whose own module has fired, given the reconstructed readings of the other sensors; they stay isolated.
+    fault_size: the middle of the fault's interval, or the estimate of the adaptive observer; the residual where no constant
+    offset fits. reconstruction: the readings without the faults; the value of the equation where a reading is missing or no
+    constant offset fits.
+
+    envelope, drift: as of AdaptiveThreshold.
+    learning_rates: {state: Gamma, 1/s} for states whose fault an adaptive observer (12) estimates, with the gain of their
+    module. Its estimate is not guaranteed; the interval is.
+    intersect: False for the interval of each instant alone, as (17) is printed. (14) has the equation's value at the readings
+    in place of the middle.
+    inversion: "corners", or "sivia" for set inversion (15) of the algebraic equations of isolated sensors, which is slow.
+    """
+
+    envelope: float | Mapping[str, tuple[float, float]] | None = None
+    drift: Mapping[str, float] | None = None
+    learning_rates: Mapping[str, float] = field(default_factory=dict)
+    intersect: bool = True
+    inversion: str = "corners"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        modules = self._modules
+        if self.inversion not in INVERSIONS:
+            raise ValueError(f"inversion is {self.inversion!r}; known: {', '.join(INVERSIONS)}")
+        if unknown := [v for v in self.learning_rates if v not in modules.states]:
+            raise ValueError(f"learning_rates has {', '.join(unknown)}; the states are {', '.join(modules.states)}")
+        if wrong := [f"{v}={g}" for v, g in self.learning_rates.items() if not (np.isfinite(g) and g > 0)]:
+            raise ValueError(f"learning rates {', '.join(wrong)}; expected positive numbers in 1/s")
+
+    @property
+    def claimed_rate(self) -> float:
+        """0 with thresholds that bounded noise cannot cross."""
+        if self.fitted_rate is not None or self.threshold_scale < 1:
+            return super().claimed_rate
+        return without_false_alarms(self.plant)
+
+    def fault_interval(self, state: State) -> Interval:
+        """Return the intervals (*batch, N) of the sensors' constant offsets in sensor units, after the step that returned
+        `state`.
+
+        -inf to inf for a sensor that is not isolated, empty where no constant offset fits.
+        """
+        self._batch_of(state)
+        m, of = state.memory, self.thresholds
+        a, b = (end[..., of._variable] * self.plant.sensor_scale for end in (m.low, m.high))
+        return Interval.unchecked(np.minimum(a, b), np.maximum(a, b))
+
+    @cached_property
+    def thresholds(self) -> AdaptiveThreshold:
+        """The detector with the same modules and thresholds."""
+        return AdaptiveThreshold(self.plant, envelope=self.envelope, drift=self.drift)
+
+    @property
+    def _modules(self) -> Modules:
+        return self.thresholds._modules
+
+    @property
+    def _settings(self) -> Settings:
+        return self.thresholds._settings
+
+    @cached_property
+    def _depends_on(self) -> Array:
+        """Whether the value of equation e depends on the reading of variable j (E, E), directly or through others."""
+        m = self._modules
+        reads = np.array([[v == w or w in quantities_of(m.equations[v]) for w in m.equations] for v in m.equations])
+        return np.linalg.matrix_power(reads.astype(float), len(reads)) > 0
+
+    def _start(self, batch: tuple[int, ...], seed: int) -> FaultMemory:
+        s = self._settings
+        return FaultMemory.new(batch, s.nominal, s.half_width, len(s.gains))
+
+    def _readmitted(self, memory: FaultMemory, t: float, which: Array) -> FaultMemory:
+        """No interval of their faults; the modules that depend on these sensors restart as at an isolation."""
+        s = self._settings
+        for i in np.flatnonzero(which):
+            e = int(self.thresholds._variable[i])
+            memory = memory.without(e, self._depends_on[:, e], s.nominal, s.half_width)
+            own = np.arange(len(self._depends_on)) == e
+            memory = memory._replace(isolated=memory.isolated & ~own, before=np.where(own, np.nan, memory.before))
+        return memory
+
+    def _judge(self, memory: FaultMemory, now: TimeStep, y: Array, u: Array) -> tuple[FaultMemory, Decision]:
+        shape, scale, of = y.shape[:-1], self.plant.sensor_scale, self.thresholds
+        m = FaultMemory(*(a.reshape(-1, a.shape[-1]) for a in memory))
+        reading = np.ascontiguousarray((y / scale)[..., of._sensor].reshape(len(m.x), -1))
+        u = u.reshape(len(m.x), -1)
+        bounds = self._step_modules(m, reading, u, now.dt)
+        while np.any(fresh := bounds.firing & ~m.isolated):
+            m, bounds = self._isolate(m, bounds, fresh, reading, u, now.dt)
+        m = self._after(m, bounds, reading, u, now.dt)
+        middle, radius = (bounds.low + bounds.high) / 2, (bounds.high - bounds.low) / 2
+        residual, threshold = reading - middle, self.threshold_scale * (radius + self._settings.bound)
+        size = np.where(np.isfinite(m.size), m.size, residual)
+        usable = np.isfinite(reading) & ~(m.isolated & np.isnan(m.size))
+        healthy = np.where(usable, reading - np.where(m.isolated, size, 0.0), middle)
+        of_sensors = (a[:, of._variable] for a in (healthy, residual, np.where(m.isolated, size, np.nan)))
+        healthy, residual, size = ((a * scale).reshape(y.shape) for a in of_sensors)
+        isolated = m.isolated[:, of._variable].reshape(y.shape)
+        decision = Decision(
+            estimate=bounds.x.reshape(*shape, -1),
+            reconstruction=np.where(np.isfinite(y) & ~isolated, y, healthy),
+            residual=residual,
+            threshold=(threshold[:, of._variable] * np.abs(scale)).reshape(y.shape),
+            isolated=isolated,
+            fault_size=size,
+            diverged=~np.all(np.isfinite(middle), axis=-1).reshape(shape),
+            guarded=np.zeros(shape, bool),
+            nis=np.full(shape, np.nan),
+        )
+        return FaultMemory(*(a.reshape(*shape, -1) for a in m)), decision
+
+    def _step_modules(self, m: FaultMemory, reading: Array, u: Array, dt: float) -> ModuleBounds:
+        """A step of the modules on reconstructed readings, without correction of the observers of isolated sensors."""
+        s, states = self._settings, len(self._settings.gains)
+        (before, _), (healthy, bound) = (m.reconstructed(a, s.bound) for a in (m.before, reading))
+        gains = np.where(m.isolated[:, :states], 0.0, s.gains)
+        x, error, lower, upper = self.thresholds._monitor(
+            m.x, m.error, before, healthy, u, dt, s._replace(bound=bound, gains=gains)
+        )
+        if self.inversion == "sivia":
+            lower, upper = self._inverted(m, healthy, bound, u, lower, upper)
+        low, high = np.concatenate([x - error, lower], axis=-1), np.concatenate([x + error, upper], axis=-1)
+        firing = np.abs(reading - (low + high) / 2) > self.threshold_scale * ((high - low) / 2 + s.bound)
+        return ModuleBounds(x, error, low, high, firing)
+
+    def _inverted(
+        self, m: FaultMemory, healthy: Array, bound: Array, u: Array, lower: Array, upper: Array
+    ) -> tuple[Array, Array]:
+        """The bounds (B, E - S), for isolated sensors by set inversion where it finds a solution."""
+        s, states = self._settings, len(self._settings.gains)
+        low, high = box(healthy, healthy, u, s._replace(bound=bound))
+        lower, upper = lower.copy(), upper.copy()
+        for e, variable in enumerate(self._modules.equations):
+            rows = np.flatnonzero(m.isolated[:, e]) if e >= states else np.empty(0, int)
+            if rows.size:
+                found = enclosure("sivia", self._modules, variable, low[rows], high[rows], s)
+                slack = s.rounding * np.maximum(np.abs(found.lo), np.abs(found.hi))
+                known = np.isfinite(found.lo + found.hi)
+                lower[rows, e - states] = np.where(known, found.lo - slack, lower[rows, e - states])
+                upper[rows, e - states] = np.where(known, found.hi + slack, upper[rows, e - states])
+        return lower, upper
+
+    def _isolate(
+        self, m: FaultMemory, bounds: ModuleBounds, fresh: Array, reading: Array, u: Array, dt: float
+    ) -> tuple[FaultMemory, ModuleBounds]:
+        """Isolate one of the sensors whose modules fire (B, E) in each run: the one without which the fewest modules fire."""
+        s, best = self._settings, m
+        fewest = np.full(len(fresh), np.iinfo(int).max)
+        for e in np.flatnonzero(fresh.any(axis=0)):
+            tried = m.without(int(e), self._depends_on[:, e], s.nominal, s.half_width)
+            seen = self._step_modules(tried, reading, u, dt)
+            left = np.where(fresh[:, e], (seen.firing & ~tried.isolated).sum(axis=-1), np.iinfo(int).max)
+            better = left < fewest
+            best, bounds, fewest = tried.where(better, best), seen.where(better, bounds), np.where(better, left, fewest)
+        return best, bounds
+
+    def _after(self, m: FaultMemory, bounds: ModuleBounds, reading: Array, u: Array, dt: float) -> FaultMemory:
+        """The memory after the step: observers, and the faults' intervals and estimates."""
+        low, high = m.interval(reading, bounds.low, bounds.high, self._settings.bound, self.intersect)
+        with np.errstate(invalid="ignore"):
+            size = np.where(np.isfinite(high - low), (low + high) / 2, np.nan)
+        adaptive = self._adapted(m, reading, u, dt) if self.learning_rates else Estimates(m.state, m.omega, m.fault)
+        for e, variable in enumerate(self._modules.states):
+            if variable in self.learning_rates:
+                size[:, e] = np.where(np.isfinite(size[:, e]), adaptive.fault[:, e], np.nan)
+        return FaultMemory(bounds.x, bounds.error, reading, m.isolated, low, high, size, *adaptive)
+
+    def _adapted(self, m: FaultMemory, reading: Array, u: Array, dt: float) -> Estimates:
+        """The adaptive observers after the step, with the mean of the reconstructed readings before and after it as input."""
+        modules, s = self._modules, self._settings
+        new = [a.copy() for a in (m.state, m.omega, m.fault)]
+        middle = (m.reconstructed(m.before, s.bound)[0] + m.reconstructed(reading, s.bound)[0]) / 2
+        at = np.concatenate([np.where(np.isnan(middle), s.nominal, middle), u], axis=-1)
+        for e, (variable, rate) in enumerate(zip(modules.states, s.rates, strict=True)):
+            if variable not in self.learning_rates:
+                continue
+            values = dict(zip(modules.variables, at.T, strict=True)) | {variable: m.state[:, e]}
+            equation = modules.equations[variable]
+            h = equation(*(values[a] for a in quantities_of(equation)), modules.parameters)
+            own, gamma = Estimates(m.state[:, e], m.omega[:, e], m.fault[:, e]), self.learning_rates[variable]
+            after = adapt(own, h, m.before[:, e], reading[:, e], m.isolated[:, e], dt, Rates(rate, s.gains[e], gamma))
+            for column, value in zip(new, after, strict=True):
+                column[:, e] = value
+        return Estimates(*new)

@@ -1,0 +1,76 @@
+"""Detector: one Kalman filter on all sensors with a test of each innovation; the common choice, used as the reference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from fusion_sfdia.common.arguments import probability
+from fusion_sfdia.detectors.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.detectors.detector import Decision
+from fusion_sfdia.detectors.health import broken
+from fusion_sfdia.detectors.kalman_banks.excluding_bank import UNUSED
+from fusion_sfdia.detectors.kalman_banks.leave_one_out import normalised_innovation_squared, posterior, statistics
+from fusion_sfdia.filters.estimators import Core, Estimator, Extended, Reading, Unscented, require_filter, step_stream
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class CentralFilter(BatchDetector):
+    """A single filter of any kind, without accommodation.
+
+    Residual: y - E[y]. Threshold: from its variance, at the probability `false_alarm` per step over all sensors (Bonferroni).
+    The sensor with the largest ratio above 1 is isolated.
+    """
+
+    estimator: Estimator = field(default_factory=Extended)
+    false_alarm: float = 1e-3
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_filter(self.estimator)
+        probability("false_alarm", self.false_alarm)
+
+    @property
+    def most_faults(self) -> int:
+        """One sensor: that with the largest innovation."""
+        return 1
+
+    def _start(self, batch: tuple[int, ...], seed: int) -> Core:
+        return self.estimator.start(self.plant, batch, step_stream(seed, 0))
+
+    def _judge(self, memory: Core, now: TimeStep, y: Array, u: Array) -> tuple[Core, Decision]:
+        plant, est = self.plant, self.estimator
+        drawn = [UNUSED] * 2
+        if not isinstance(est, Extended | Unscented):
+            drawn = [step_stream(now.seed, now.k + offset) for offset in (0, 2**32)]
+        prior = est.predict(plant, memory, now.t_start, u, now.dt, drawn[0])
+        joint = est.joint(plant, prior, now.t, u)
+        y = plant.near(y, joint.y)
+        found = statistics(joint, y, np.isfinite(y))
+        x, p = posterior(joint, found)
+        after = est.assimilate(plant, prior, Reading(now.t, y, u), x, p, drawn[1])
+        expected = plant.output(now.t, x, u)
+        residual = y - joint.y
+        alpha = -ndtri(self.false_alarm / y.shape[-1] / 2) * self.threshold_scale
+        threshold = np.sqrt(np.diagonal(joint.S, axis1=-2, axis2=-1)) * alpha
+        ratio = np.where(np.isfinite(residual), np.abs(residual) / threshold, 0.0)
+        isolated = (np.arange(y.shape[-1]) == np.argmax(ratio, axis=-1)[..., None]) & (ratio > 1)
+        decision = Decision(
+            estimate=x,
+            reconstruction=np.where(np.isfinite(y), y, expected),
+            residual=residual,
+            threshold=threshold,
+            isolated=isolated,
+            fault_size=np.where(isolated, residual, np.nan),
+            diverged=prior.lost | broken(x, p),
+            guarded=prior.guarded,
+            nis=normalised_innovation_squared(joint, found, y),
+            covariance=p,
+        )
+        return after, decision

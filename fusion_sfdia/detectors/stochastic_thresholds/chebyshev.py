@@ -1,0 +1,280 @@
+"""Detector: residuals of present readings with stochastic thresholds alpha s (Boem et al. 2018, "B18", sec. III).
+
+A plant that states its areas has a diagnoser in each, with consensus on the states that they share (consensus_equations); any
+other plant has one diagnoser (present_readings). Sensors are isolated by the sizes of a constant fault that explain all
+residuals that it affects (bias_hypotheses), left out, and readmitted when they are healthy again (exclusion). B18 does not
+isolate sensors: a diagnoser there needs only brackets and drives from the other areas. Isolation of a sensor needs the
+residuals of its area and of the areas that share its variable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.common.arguments import floats, number, shown, whole
+from fusion_sfdia.detectors.batch_detector import BatchDetector, TimeStep, without_false_alarms
+from fusion_sfdia.detectors.detector import Decision, run
+from fusion_sfdia.detectors.exclusion import Exclusion, exclude, none_excluded, readmit, restored
+from fusion_sfdia.detectors.stochastic_thresholds.area_diagnosers import AreaDiagnosers
+from fusion_sfdia.detectors.stochastic_thresholds.bias_hypotheses import StepResiduals, explain
+from fusion_sfdia.detectors.stochastic_thresholds.bounded_readings import BoundedReadings
+from fusion_sfdia.detectors.stochastic_thresholds.consensus import MODES
+from fusion_sfdia.detectors.stochastic_thresholds.present_readings import Diagnoser, PredictedReadings, PresentReadings
+from fusion_sfdia.detectors.stochastic_thresholds.threshold_rules import (
+    BOUND,
+    CONFORMAL,
+    RULES,
+    alpha_for,
+    conformal_alpha,
+    require_alpha,
+    require_rule,
+)
+from fusion_sfdia.filters.estimators import Estimator, Unscented, require_filter
+from fusion_sfdia.filters.ukf import SigmaPoints
+from fusion_sfdia.plant.redundancy import most_faults, require_max_faults, why_no_more
+
+Array = NDArray[Any]
+
+CUBATURE = SigmaPoints(alpha=1.0, beta=0.0)
+PAPER_ALPHA, PAPER_LAMBDA = 2.0, 0.3  # B18, sec. VIII
+AT_ONCE = 32  # runs whose alarms are explained together
+READMISSION = 1e-3  # probability with which a sensor that is still faulty is readmitted: exp(-level) of the evidence
+
+
+class ChebyshevMemory(NamedTuple):
+    """residual, deviation: (..., N) of the last readings, NaN where not evaluated or left out. exceeded: (..., N) steps in a
+    row for which each residual has exceeded its threshold. exclusion: the sensors that are left out. diagnoser: its memory,
+    Diagnosers for a plant with areas, PresentMemory for any other.
+    """
+
+    residual: Array
+    deviation: Array
+    exceeded: Array
+    exclusion: Exclusion
+    diagnoser: Any
+
+
+@dataclass(frozen=True)
+class Chebyshev(BatchDetector):
+    """Stochastic thresholds; hypotheses are the sensors.
+
+    lam: filter parameter, 0 <= lam < 1, the share of a residual in the next one; thresholds are tightest with 0.
+    mode: "corrected", or "paper" for (15) and (17) as printed. rule: of `threshold_rules`.
+    alpha: thresholds in standard deviations, one number or one for each sensor. false_alarm, instead of alpha: the largest
+    probability of a false alarm of a diagnoser in a step, shared by its sensors. With neither, alpha is 2 as in B18, or 1 with
+    the rule "bound", whose thresholds are the largest effect of bounded noise (bounded_readings, one diagnoser for the whole
+    plant). The rule "conformal" needs alpha from `fit_thresholds`.
+    moments: E and Var of f(x) - f(y) for a plant without areas. Unscented(): sigma points, such as the cubature rule, whose
+    sums do not cancel. Extended(): the tangent, exact for linear physics. MonteCarlo(): random draws.
+    confirmations: steps in a row for which a residual must have exceeded its threshold before a sensor is isolated.
+    max_faults: sensors that may be left out at once (None: what the plant's redundancy allows); no further sensor is isolated
+    where more would be left out.
+    accommodate: leave out isolated sensors; without it no sensor is isolated.
+
+    residual and threshold: as of (13), y - y_hat; its mean is subtracted from the estimate, not from the thresholds.
+    Raises ValueError for settings that are inconsistent.
+    """
+
+    lam: float = PAPER_LAMBDA
+    mode: str = "corrected"
+    rule: str = "chebyshev"
+    alpha: float | Sequence[float] | None = None
+    false_alarm: float | None = None
+    moments: Estimator = field(default_factory=lambda: Unscented(CUBATURE))
+    confirmations: int = 1
+    max_faults: int | None = None
+    accommodate: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 <= number("lam", self.lam) < 1:
+            raise ValueError(f"lam is {self.lam}; expected at least 0 and less than 1, so that old residuals decay")
+        if self.mode not in MODES:
+            raise ValueError(f"mode is {shown(self.mode)}; known: {', '.join(MODES)}")
+        require_rule(self.rule)
+        require_filter(self.moments)
+        whole("confirmations", self.confirmations, least=1)
+        require_max_faults(self.plant, self.max_faults)
+        if self.alpha is not None and self.false_alarm is not None:
+            raise ValueError(
+                f"alpha is {shown(self.alpha)} and false_alarm {self.false_alarm}; each determines the other: give one"
+            )
+        if self.alpha is None and self.rule == CONFORMAL:
+            raise ValueError(
+                "the rule 'conformal' needs alpha from healthy data; leave it out and call fit_thresholds(healthy)"
+            )
+        self.diagnoser  # noqa: B018 - checks the areas of the plant
+        self.alphas  # noqa: B018 - checks that alpha gives a bound of false alarms
+
+    def fit_thresholds(self, healthy: Any, false_alarm: float = 1e-3, warm_up: int = 20) -> Self:
+        """The detector with the rule "conformal": alpha of each sensor from healthy readings (see `conformal_alpha`).
+
+        healthy: as in `fit`. false_alarm: rate per step of a diagnoser, shared equally by its sensors. The first `warm_up`
+        samples are left out. Raises ValueError where there are too few samples.
+        """
+        t, y, u = self._healthy(healthy, false_alarm, warm_up)
+        plain = replace(self, rule="gaussian", alpha=1.0, false_alarm=None, accommodate=False, threshold_scale=1.0)
+        _, decisions = run(plain, plain.init(y.shape[1:-1], float(t[0]) - self.plant.dt), t, y, u)
+        scores = np.where(np.isfinite(decisions.residual), decisions.scores, np.nan)[warm_up:].reshape(-1, y.shape[-1])
+        alpha = [conformal_alpha(scores[:, i], false_alarm / c) for i, c in enumerate(self.components)]
+        return replace(
+            self, rule=CONFORMAL, alpha=tuple(float(a) for a in alpha), false_alarm=None, threshold_scale=1.0,
+            fitted_rate=false_alarm * self.diagnoser_count,
+        )  # fmt: skip
+
+    @cached_property
+    def diagnoser(self) -> Diagnoser:
+        """The plant's diagnosers."""
+        if self.rule == BOUND:
+            return BoundedReadings(self.plant, self.lam, self.moments)
+        if self.plant.structure.areas is not None:
+            return AreaDiagnosers(self.plant, self.plant.structure.areas, self.lam, self.mode)
+        return PresentReadings(self.plant, self.lam, self.moments)
+
+    @cached_property
+    def components(self) -> Array:
+        """Number of sensors (N,) of the diagnoser of each sensor."""
+        return np.array([self._owners.count(owner) for owner in self._owners])
+
+    @property
+    def diagnoser_count(self) -> int:
+        """One for each area, or one for the plant."""
+        return len({*self._owners})
+
+    @cached_property
+    def _owners(self) -> list[str]:
+        """The area of each sensor (N,), "" for all where the plant has none."""
+        return [s.owner if self.plant.structure.areas is not None else "" for s in self.plant.sensors]
+
+    @property
+    def claimed_rate(self) -> float:
+        """The sum of what the rule states for each sensor at its limit; 0 with thresholds that bounded noise cannot cross, of a
+        linear plant with a bound of its process noise.
+        """
+        if self.rule == CONFORMAL:
+            return super().claimed_rate
+        if self.rule == BOUND:
+            bounded = self.plant.process_bound is not None and all(self.plant.linear) and np.all(self.limits >= 1)
+            return without_false_alarms(self.plant) if bounded else np.nan
+        stated = RULES[self.rule]
+        bound = float(np.sum(stated.false_alarm(self.limits))) if np.all(self.limits > stated.least) else np.nan
+        return bound if bound < 1 else np.nan
+
+    @cached_property
+    def alphas(self) -> Array:
+        """Threshold of each sensor (N,) in standard deviations."""
+        count = len(self.plant.sensors)
+        if self.false_alarm is not None:
+            return np.array([alpha_for(self.rule, self.false_alarm, int(c)) for c in self.components])
+        usual = 1.0 if self.rule == BOUND else PAPER_ALPHA
+        given = np.atleast_1d(floats("alpha", usual if self.alpha is None else self.alpha))
+        if given.shape not in {(1,), (count,)}:
+            raise ValueError(f"alpha has shape {given.shape}; expected one number or one for each of {count} sensors")
+        return np.broadcast_to([require_alpha(self.rule, a) for a in given], (count,)).astype(float)
+
+    def watching(self) -> Self:
+        return replace(self, accommodate=False)
+
+    def why_no_more(self) -> str:
+        return why_no_more(self.plant, self.max_faults)
+
+    @cached_property
+    def most_faults(self) -> int:
+        """How many sensors may be left out at once."""
+        return self.max_faults or most_faults(self.plant)
+
+    @property
+    def limits(self) -> Array:
+        """`alphas` (N,) times threshold_scale."""
+        return self.threshold_scale * self.alphas
+
+    def _start(self, batch: tuple[int, ...], seed: int) -> ChebyshevMemory:
+        count = len(self.plant.sensors)
+        shape = (*batch, count)
+        last = np.full(shape, np.nan), np.full(shape, np.inf), np.zeros(shape)
+        return ChebyshevMemory(*last, none_excluded(batch, count), self.diagnoser.start(batch, seed))
+
+    def _readmitted(self, memory: ChebyshevMemory, t: float, which: Array) -> ChebyshevMemory:
+        return memory._replace(
+            residual=np.where(which, np.nan, memory.residual),
+            deviation=np.where(which, np.inf, memory.deviation),
+            exceeded=np.where(which, 0.0, memory.exceeded),
+            exclusion=restored(memory.exclusion, which),
+        )
+
+    def _judge(self, memory: ChebyshevMemory, now: TimeStep, y: Array, u: Array) -> tuple[ChebyshevMemory, Decision]:
+        exceeded, exclusion = memory.exceeded, memory.exclusion
+        predicted = self.diagnoser.predict(memory.diagnoser, now, u)
+        expected, deviation = predicted.expected, predicted.deviation
+        y = self.plant.near(y, expected)
+        residual, threshold = y - expected, self.limits * deviation
+        exceeded = np.where(np.abs(residual) > threshold, exceeded + 1, 0.0)
+        capped = np.zeros(y.shape[:-1], bool)
+        if self.accommodate:
+            exclusion = readmit(exclusion, residual, deviation**2, self.limits**2, -np.log(READMISSION))  # type: ignore[arg-type]
+            trusted = np.isfinite(y) & ~exclusion.out
+            rows = np.any(trusted & (exceeded >= self.confirmations), axis=-1)
+            if np.any(rows):
+                isolated, absorbed, uncertainty = self._explained(memory, predicted, now, u, rows, trusted, residual, threshold)
+                capped = np.any(isolated, axis=-1) & (np.sum(exclusion.out | isolated, axis=-1) > self.most_faults)
+                isolated &= ~capped[..., None]
+                if np.any(isolated & (absorbed != 0)):
+                    faults = np.where(isolated, absorbed, 0.0), np.where(isolated, uncertainty, 0.0)
+                    predicted = self.diagnoser.without_faults(memory.diagnoser, predicted, now, u, *faults)
+                exclusion = exclude(exclusion, isolated, y - predicted.expected)
+        used = np.where(exclusion.out, np.nan, y)
+        taken = self.diagnoser.take(predicted, used)
+        decision = Decision(
+            estimate=taken.estimate,
+            reconstruction=np.where(np.isfinite(used), used, predicted.expected),
+            residual=residual,
+            threshold=threshold,
+            isolated=exclusion.out,
+            fault_size=np.where(exclusion.out, exclusion.size, np.nan),
+            diverged=predicted.lost | ~np.all(np.isfinite(taken.estimate), axis=-1),
+            guarded=predicted.guarded,
+            nis=np.full(predicted.lost.shape, np.nan),
+            covariance=taken.covariance,
+            capped=capped,
+        )
+        seen = np.where(exclusion.out, np.nan, residual)
+        return ChebyshevMemory(seen, deviation, exceeded, exclusion, taken.memory), decision
+
+    def _explained(
+        self,
+        memory: ChebyshevMemory,
+        predicted: PredictedReadings,
+        now: TimeStep,
+        u: Array,
+        rows: Array,
+        trusted: Array,
+        residual: Array,
+        threshold: Array,
+    ) -> tuple[Array, Array, Array]:
+        """The sensors (B, N) isolated in the runs chosen by `rows` (B,), and the size and uncertainty (B, N) of faults in the
+        last readings.
+
+        A fault that began before this step also affects the last readings. Its size is the smallest that explains the
+        residuals, its uncertainty by how much it may be larger. Both are 0 for other faults.
+        """
+        isolated = np.zeros(trusted.shape, bool)
+        absorbed, uncertainty = np.zeros(trusted.shape), np.zeros(trusted.shape)
+        flat = np.flatnonzero(rows)
+        for part in np.array_split(flat, -(-flat.size // AT_ONCE)):  # bounds the memory, some N^2 numbers a run
+            few = np.isin(np.arange(rows.size), part).reshape(rows.shape)
+            deviation_before = memory.deviation[few]
+            earlier = StepResiduals(memory.residual[few], deviation_before, self.limits * deviation_before)
+            evaluated = np.where(trusted[few], residual[few], np.nan)
+            present = StepResiduals(evaluated, threshold[few] / self.limits, threshold[few])
+            found = explain(earlier, present, *self.diagnoser.effects(memory.diagnoser, predicted, now, u, few), trusted[few])
+            isolated[few] = found.isolated
+            late = found.isolated & found.late
+            absorbed[few] = np.where(late, np.where(found.low > 0, found.low, found.high), 0.0)
+            uncertainty[few] = np.where(late, found.high - found.low, 0.0)
+        return isolated, absorbed, uncertainty

@@ -1,0 +1,129 @@
+"""A part of a large network: a contiguous block of areas with its diagnosers, and what crosses its border at each step.
+
+A part computes the states of its areas with all their copies, including copies that areas in other parts read: it receives
+these readings, too, and sends the results for these copies to the other parts. Each step of a part needs one message from each
+neighbouring part, with four numbers for every copy at the border. The results have the same bits as the whole network in one
+process on a processor of the same kind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.detectors.stochastic_thresholds import consensus_equations
+from fusion_sfdia.detectors.stochastic_thresholds.consensus import Diagnosers, NetworkReadings
+from fusion_sfdia.plant.areas import AreaArrays, Areas
+
+Array = NDArray[Any]
+
+
+class PartLayout(NamedTuple):
+    """The network of a part, constant over time. All indices are local, except those in `areas` and `sides`.
+
+    matrices to opposite: as of AreaArrays, for M areas and their sides, then the K copies read in other parts. reader: the area
+    at the other end of each of their sides; M + k for the reader of copy k, which is in another part. border: local sides whose
+    neighbour is in another part, which sends their values. near: index of the first copy read in another part. areas: first and
+    past last area in the network. sides: indices in the network of the local sides.
+    """
+
+    matrices: Array
+    slope: Array
+    closed: Array
+    process_variance: Array
+    noise: Array
+    shared_noise: Array
+    received: Array
+    start: Array
+    opposite: Array
+    reader: Array
+    border: Array
+    near: int
+    areas: tuple[int, int]
+    sides: Array
+
+
+def part_layouts(areas: Areas, parts: int, mode: str = "corrected") -> list[PartLayout]:
+    """Return the network in `parts` blocks of equal size; ValueError for less than one part or more parts than areas.
+
+    ValueError as of Areas.arrays, too.
+    """
+    count = areas.size[0]
+    if not 1 <= parts <= count:
+        raise ValueError(f"{count} areas cannot be shared by {parts} parts; expected 1 to {count}")
+    at = areas.network.topology
+    bounds = np.linspace(0, count, parts + 1).astype(np.int64)
+    whole = areas.arrays(mode)
+    found = []
+    for lo, hi in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
+        first, past = int(at.start[lo]), int(at.start[hi])
+        other = at.opposite[first:past]
+        elsewhere = (other < first) | (other >= past)
+        sides = np.concatenate([np.arange(first, past), other[elsewhere]])
+        copy = np.cumsum(elsewhere) - 1
+        opposite = np.where(elsewhere, past - first + copy, other - first)
+        reader = np.where(elsewhere, hi - lo + copy, at.neighbour[first:past] - lo)
+        found.append(
+            PartLayout(
+                areas.matrices[lo:hi].copy(), areas.slope[sides], areas.network.closed[sides],
+                areas.process_variance[lo:hi].copy(), areas.noise[lo:hi].copy(), whole.shared_noise[sides],
+                whole.received[sides], at.start[lo : hi + 1] - first, opposite, reader, np.flatnonzero(elsewhere),
+                past - first, (lo, hi), sides,
+            )
+        )  # fmt: skip
+    return found
+
+
+def routes(parts: Sequence[PartLayout]) -> list[Array]:
+    """Return for each part the indices of its received values among the copies of all parts that are read in other parts."""
+    sent = np.concatenate([p.sides[p.near :] for p in parts])
+    order = np.argsort(sent)
+    return [order[np.searchsorted(sent, p.sides[p.border], sorter=order)] for p in parts]
+
+
+def share(layout: PartLayout, state: Diagnosers) -> Diagnosers:
+    """Return the diagnosers of a layout from those of the whole network."""
+    lo, hi = layout.areas
+    return Diagnosers(*((a[:, layout.sides] if a.ndim == 2 else a[:, lo:hi]).copy(order="C") for a in state))
+
+
+def at_borders(parts: Sequence[PartLayout], state: Diagnosers) -> Array:
+    """Return (4, B, K): held, error_bound, residual, deviation of the copies read in other parts, part after part."""
+    return np.concatenate([np.stack([a[:, p.sides[p.near :]] for a in state.shared]) for p in parts], axis=-1)
+
+
+class Part:
+    """The diagnosers of a layout for a batch of B runs, from their state; two sets of arrays are used alternately."""
+
+    def __init__(self, layout: PartLayout, state: Diagnosers, alpha: float, lam: float, printed: bool) -> None:
+        self.layout, self.alpha, self.lam, self.printed = layout, alpha, lam, printed
+        self._now, self._before = state, Diagnosers(*map(np.zeros_like, state))
+        self._arrays = AreaArrays.without_terms(*layout[:10])
+
+    def step(self, received: Array, given: NetworkReadings) -> tuple[Array, Array, Array]:
+        """Return alarms of its areas (B, M), alarms of the copies read in other parts (B, K), and the results for these (4, B,
+        K).
+
+        received (4, B, border): held, error_bound, residual, deviation, from other parts after the previous step. given: of its
+        M areas; shared readings at its sides, then of the copies read in other parts.
+        """
+        b, state = self.layout, self._now
+        for a, new in zip(state.shared, received, strict=True):
+            a[:, b.border] = new
+        after = self._before
+        count = len(b.matrices)
+        alarm = np.zeros((len(state.held), count + b.border.size), bool)
+        consensus_equations.step_areas(
+            *state, given.reference, given.load, self.lam, self.printed, *self._arrays, self.alpha, given.own, given.shared,
+            *after, alarm,
+        )  # fmt: skip
+        self._now, self._before = after, state
+        copies = np.stack([a[:, b.near :] for a in after.shared])
+        return alarm[:, :count], alarm[:, count:], copies
+
+    def kept(self) -> Diagnosers:
+        """Return its memory; complete at the border sides only after the next `received`."""
+        return self._now

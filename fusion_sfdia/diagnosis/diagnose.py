@@ -1,0 +1,397 @@
+"""From a log of readings to a table of events, with any detector."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from fusion_sfdia.common.clock import Clock
+from fusion_sfdia.common.errors import MissingPackageError
+from fusion_sfdia.common.html import as_html
+from fusion_sfdia.detectors.detector import Decision, Detector, ProcessHypothesis, chosen, joined, stack
+from fusion_sfdia.detectors.verdicts import ALL_FAR, NO_THRESHOLDS, TOO_MANY, Conclusion, Verdict, far_off, judged, undecidable
+from fusion_sfdia.diagnosis.absent import beyond_resolution, repeats
+from fusion_sfdia.diagnosis.events import (
+    EVEN,
+    LASTING,
+    NO_FAULT,
+    Event,
+    ProcessEvent,
+    events_of,
+    open_questions,
+    spans,
+    throughout,
+    verdict,
+)
+from fusion_sfdia.diagnosis.hindsight import hindsight, left_out
+from fusion_sfdia.diagnosis.hindsight_steps import Residuals
+from fusion_sfdia.diagnosis.model_health import Health, health_of
+from fusion_sfdia.diagnosis.sensor_events import alarm_rate_of, explained
+from fusion_sfdia.plant.gaps import Gap, Track, bridged
+from fusion_sfdia.plant.log import Log, one_run
+from fusion_sfdia.plant.model_errors import RAISED, failed
+from fusion_sfdia.plant.plant import Plant
+
+Array = NDArray[Any]
+
+SECONDS = Clock()
+MOST_GAPS = 5  # lines
+BLOCK = 1000  # Decisions, which take ten times as much memory one by one as in arrays
+
+
+@dataclass(frozen=True, repr=False)
+class Diagnosis:
+    """Events, and the Decisions (time first) behind them with the times (K,).
+
+    In order of their start; of a detector that tests the process, too (`process_hypotheses`), its verdicts on the process
+    come first, then what it cannot tell apart, then the sensors. clock: wall-clock times of the log. gaps: stretches without
+    a row that the model was stepped through, or after which it started anew. health: whether the model fits; after: the
+    residuals behind that and behind kinds and sizes, both None where a Diagnosis was built without them. limit: that fewer
+    than half of the sensors can be isolated at once, and why; "" elsewhere. of_log: what was found in the log
+    that looks like a fault and is none, in words. suspects: sensors that were not judged, since their unit looks wrong.
+    """
+
+    events: tuple[Event, ...]
+    decisions: Decision
+    t: Array
+    process_hypotheses: tuple[ProcessHypothesis, ...] = ()
+    clock: Clock = SECONDS
+    gaps: tuple[Gap, ...] = ()
+    health: Health | None = None
+    after: Residuals | None = None
+    limit: str = ""
+    of_log: tuple[str, ...] = ()
+    suspects: tuple[str, ...] = ()
+
+    @property
+    def state(self) -> Verdict:
+        """The verdict on the whole log in one word, for programs; a log that was not judged is blind, never healthy."""
+        return self._conclusion.verdict
+
+    @property
+    def _conclusion(self) -> Conclusion:
+        """The same with the reason where nothing is named."""
+        d, t = self.decisions, self.t
+        likely = {e.kind for e in self.events if not e.confidence < EVEN}
+        unsupported = far_off(d) | d.capped
+        seen, named = judged(d), np.any(d.isolated, axis=-1)
+        if not np.any(seen) and not np.any(d.diverged):
+            return Conclusion(Verdict.BLIND, "no reading could be compared with the model")
+        if np.sum(unsupported) > max(np.sum(named) / 2, LASTING - 1):
+            return Conclusion(Verdict.UNDECIDED, ALL_FAR if np.all(far_off(d)[unsupported]) else TOO_MANY)
+        if likely & {"process", "other"}:
+            return Conclusion(Verdict.PROCESS)
+        if "sensor" in likely:
+            return Conclusion(Verdict.SENSOR)
+        if "outside" in likely:
+            return Conclusion(Verdict.OUTSIDE, "no healthy log has such readings")
+        if open_questions(self.events, t) or any(e.confidence < EVEN for e in self.events):
+            return Conclusion(Verdict.UNDECIDED)
+        if np.any(d.diverged):
+            when = self.clock.at(float(t[np.argmax(d.diverged)]))
+            return Conclusion(Verdict.BLIND, f"the estimate diverged, or the model gave no finite value, at {when}")
+        if 2 * np.sum(seen) < t.size:
+            count = f"{t.size - np.sum(seen)} of {t.size} samples"
+            return Conclusion(Verdict.BLIND, f"in {count} no reading could be compared with the model")
+        if np.all(undecidable(d)[seen]):
+            return Conclusion(Verdict.UNDECIDED, NO_THRESHOLDS)
+        if 2 * np.sum(np.any(d.absurd_input, axis=-1) if np.ndim(d.absurd_input) else d.absurd_input) > t.size:
+            return Conclusion(Verdict.OUTSIDE, "an input is beyond the limits of its signal in most samples")
+        if self.suspects:
+            return Conclusion(Verdict.UNDECIDED, f"the unit of {', '.join(self.suspects)} looks wrong")
+        return Conclusion(Verdict.HEALTHY)
+
+    @property
+    def verdict(self) -> str:
+        """What the events say together: "process or model: ...", "cannot tell: ... or ...", "sensor ...", "perhaps ...", or
+        "no fault"; without events, "no verdict: ..." or "cannot tell: ..." with the reason where nothing could be concluded.
+        """
+        found, concluded = verdict(self.events, self.t), self._conclusion
+        if found == NO_FAULT and concluded.verdict is not Verdict.HEALTHY:
+            return concluded.text
+        if self.suspects:
+            found += f"; not judged: {', '.join(self.suspects)}, whose unit looks wrong"
+        if concluded.verdict is Verdict.BLIND:
+            return f"{concluded.text}; {found}"
+        if np.any(lost := self.decisions.diverged):
+            return f"{found} until {self.clock.at(float(self.t[np.argmax(lost)]))}, where the estimate diverged"
+        return found
+
+    @property
+    def remarks(self) -> list[str]:
+        """What limits the detector, where that is less than half of the sensors, the sensors that were off already before the
+        log, and its first gaps, a line each.
+        """
+        lines = [*([self.limit] if self.limit else []), *self.of_log]
+        lines += [
+            f"{name} is off throughout, since before the log: check its unit and the inputs first"
+            for name in dict.fromkeys(throughout(self.events, self.t))
+        ]
+        lines += [
+            f"gap from {self.clock.at(g.start)} to {self.clock.at(g.end)}: "
+            + ("too long for the model, the estimate starts anew" if g.reset else f"predicted in {g.steps} steps")
+            for g in self.gaps[:MOST_GAPS]
+        ]
+        more = len(self.gaps) - MOST_GAPS
+        return lines if more < 1 else [*lines, f"and {more} more gaps"]
+
+    def __str__(self) -> str:
+        return "\n".join([self.verdict, *(f"  {event.told(self.clock)}" for event in self.events)])
+
+    def __repr__(self) -> str:
+        count = len(self.events)
+        return f"<Diagnosis of {len(self.t)} readings, {count} event{'s' * (count != 1)}: {self.verdict}>"
+
+    def _repr_html_(self) -> str:
+        rows = [(e.hypothesis, self.clock.at(e.start), self.clock.at(e.end), e.told(self.clock)) for e in self.events]
+        return as_html(self.verdict, self.health.line if self.health else "", ("what", "from", "to", "in words"), rows)
+
+    def frame(self) -> Any:
+        """The events as a pandas DataFrame, a column for each of events.csv; MissingPackageError without pandas.
+
+        start, end: time stamps with the log's zone, or durations where the log has seconds alone.
+        """
+        try:
+            pandas: Any = import_module("pandas")
+        except ModuleNotFoundError as error:
+            raise MissingPackageError("a frame needs pandas, which is not installed; install it, or use events") from error
+        header, rows = self.table()
+        found, start = pandas.DataFrame(rows, columns=header), self.clock.start
+        for name in ("start", "end"):
+            t = pandas.to_timedelta(found[f"{name}_s"].astype(float), unit="s")
+            if start is not None and start.tzinfo is not None:  # in UTC, since the zone's clock may have changed in between
+                t = (pandas.Timestamp(start).tz_convert("UTC") + t).dt.tz_convert(start.tzinfo)
+            found[name] = t if start is None or start.tzinfo is not None else pandas.Timestamp(start) + t
+        return found
+
+    def table(self) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
+        """Names of columns and a row for each event; kind, sd and nominal only where the process is tested."""
+        added = ("fault", "start", "end", "size_low", "size_high", "size_sigma", "confidence", "alternatives")
+        more = [
+            (
+                " or ".join([e.fault, *e.fault_alternatives]),
+                self.clock.at(e.start),
+                self.clock.at(e.end),
+                *(e.low, e.high, e.sigmas, e.confidence),
+                " or ".join(e.alternatives),
+            )
+            for e in self.events
+        ]
+        if not self.process_hypotheses:
+            rows = [(e.hypothesis, e.start, e.end, e.size, e.unit, e.open) for e in self.events]
+            known = ("sensor", "start_s", "end_s", "size", "unit", "open")
+            return (*known, *added), [(*a, *b) for a, b in zip(rows, more, strict=True)]
+        spread = [(getattr(e, "sd", np.nan), getattr(e, "nominal", np.nan)) for e in self.events]
+        return (
+            ("kind", "hypothesis", "start_s", "end_s", "size", "sd", "unit", "nominal", "open", *added),
+            [
+                (e.kind, e.hypothesis, e.start, e.end, e.size, sd, e.unit, nominal, e.open, *rest)
+                for e, (sd, nominal), rest in zip(self.events, spread, more, strict=True)
+            ],
+        )
+
+
+class DiagnosisWarning(UserWarning):
+    """A limit of a diagnosis that its table of events does not show."""
+
+
+def diagnose_run(
+    detector: Detector,
+    log: Log,
+    *,
+    gap: int = 3,
+    clock: Clock = SECONDS,
+    each: Callable[[Sequence[int]], Iterable[int]] = iter,
+    unread: Collection[str] = (),
+) -> Diagnosis:
+    """Run a detector over a Log of one run, NaN where a reading is missing, and collect what it isolates into events, of a
+    detector that tests the process, too, also what it accepts and what it cannot tell apart.
+
+    Events of one hypothesis less than `gap` samples apart are one. Where two times are further apart than the largest step
+    of the plant, the detector steps by dt through the gap without readings, under inputs interpolated between those before
+    and after; where that takes too many steps it starts anew (see `core.gaps`). A second look without the isolated readings
+    gives kind and size of the faults and whether the model fits. clock: of the times in the result. each: wraps the steps of
+    both passes, to show progress. unread: sensors that the log is known not to have; that they are silent is no event.
+
+    ValueError where shapes or times do not fit, or there are several runs. DiagnosisWarning where the estimate diverged or was
+    moved back into the limits of the model, where it starts anew, where a sensor was never read, where readings or inputs are
+    absurd, where more sensors would be isolated than the detector allows, and where it has no thresholds and cannot raise an
+    alarm.
+    """
+    log = one_run(log)
+    track, gaps = bridged(detector.plant, log)
+    with threadpool_limits(1):  # of linear algebra: matrices are small, threads would wait for each other
+        decisions = decided(detector, track, each, clock)
+    return concluded(detector, log, track, gaps, decisions, gap=gap, clock=clock, each=each, unread=unread)
+
+
+def concluded(
+    detector: Detector,
+    log: Log,
+    track: Track,
+    gaps: tuple[Gap, ...],
+    decisions: Decision,
+    *,
+    gap: int = 3,
+    clock: Clock = SECONDS,
+    each: Callable[[Sequence[int]], Iterable[int]] = iter,
+    unread: Collection[str] = (),
+) -> Diagnosis:
+    """The second half of `diagnose_run`: what the decisions on a log, bridged to a track with gaps, say together."""
+    t, y, u = log
+    y = present(y, decisions)
+    frozen = repeats(y)
+    out = left_out(decisions.isolated[:, : y.shape[1]])
+    for i, stretches in enumerate(frozen):
+        for a, b in stretches:
+            out[a : b + 1, i] = True
+    if y is not log.y:
+        track = track._replace(y=track.y.copy())
+        track.y[track.own] = y
+    if decisions.absurd_input.shape == u.shape and np.any(decisions.absurd_input):
+        track, own = track._replace(u=track.u.copy()), np.flatnonzero(track.own)
+        for k in np.flatnonzero(np.any(decisions.absurd_input, axis=1)):
+            track.u[own[k]] = np.where(decisions.absurd_input[k], detector.plant.input_at(float(t[k])), u[k])
+    with threadpool_limits(1):
+        try:
+            look = hindsight(model_of(detector), track, out, each)
+        except RAISED as error:
+            raise failed(detector.plant, "in the second look", error) from error
+    starts = np.flatnonzero(np.isfinite(track.begins[track.own]))
+    health, after = health_of(detector.plant, look, starts, alarm_rate_of(detector), ()), look.residuals
+    with np.errstate(invalid="ignore", divide="ignore"):
+        frozen = beyond_resolution(frozen, after.error / after.sd, detector.plant.sensor_resolution)
+    del look, track, out  # of a long log as much memory as its readings, twice
+    events = explained(detector, t, y, decisions, events_of(detector, t, decisions, gap), after, frozen)
+    events = tuple(e for e in events if e.kind != "sensor" or e.hypothesis not in unread)
+    _warn(detector, log, decisions, gaps, clock, unread)
+    health = health._replace(remarks=against_the_model(events, decisions, t, clock))
+    return Diagnosis(events, decisions, t, detector.process_hypotheses, clock, gaps, health, after, _limit(detector))
+
+
+def model_of(detector: Detector) -> Plant:
+    """The plant whose state the filter of a detector estimates; its plant, where it has no filter."""
+    return detector.filter_model or detector.plant
+
+
+def present(y: Array, decisions: Decision) -> Array:
+    """The readings (K, N) without absurd ones; the same array where there is none."""
+    return np.where(decisions.absurd, np.nan, y) if np.any(decisions.absurd) else y
+
+
+def _limit(detector: Detector) -> str:
+    """In words how many sensors can be isolated at once, where that is less than half of them; else ""."""
+    most, count = detector.most_faults, len(detector.plant.sensors)
+    return f"at most {most} of {count} sensors can be isolated at once: {detector.why_no_more()}" if most < count // 2 else ""
+
+
+def decided(
+    detector: Detector, track: Track, each: Callable[[Sequence[int]], Iterable[int]], clock: Clock = SECONDS
+) -> Decision:
+    """The Decisions at the samples of a log; a detector that has `steps` takes all of a run at once.
+
+    The readings of a track may be of a batch of runs (S, B, N) with the same times, its inputs then (S, B, m); see
+    `core.detector.of_run`.
+    """
+    batch = track.y.shape[1:-1]
+    if not batch and (whole := _at_once(detector, track)) is not None:
+        return whole if track.own.all() else chosen(whole, track.own)
+    state, blocks, found = None, [], []
+    for s in each(range(track.t.size)):
+        if state is None or np.isfinite(track.begins[s]):
+            state = detector.init(batch, float(track.begins[s]))
+        try:
+            state, decision = detector.step(state, float(track.t[s]), track.y[s], track.u[s])
+        except RAISED as error:
+            raise failed(detector.plant, f"at {clock.at(float(track.t[s]))}", error) from error
+        if track.own[s]:
+            found.append(replace(decision, covariance=None))
+        if len(found) == BLOCK or (s == track.t.size - 1 and found):
+            blocks.append(stack(found))
+            found = []
+    return joined(blocks)
+
+
+def _at_once(detector: Detector, track: Track) -> Decision | None:
+    """The Decisions at all samples of a track of one run, None where the detector has to be stepped."""
+    starts, runs = np.flatnonzero(np.isfinite(track.begins)), []
+    for a, b in zip(starts, [*starts[1:], track.t.size], strict=True):
+        try:
+            found = detector.steps(detector.init((), float(track.begins[a])), track.t[a:b], track.y[a:b], track.u[a:b])
+        except RAISED as error:
+            raise failed(detector.plant, "in this log", error) from error
+        if found is None:
+            return None
+        runs.append(found[1])
+    return runs[0] if len(runs) == 1 else joined(runs)
+
+
+def against_the_model(events: Sequence[Event], decisions: Decision, t: Array, clock: Clock) -> tuple[str, ...]:
+    """What else than innovations speaks against the model."""
+    found = [e.difference for e in events if isinstance(e, ProcessEvent) and e.open]
+    if np.any(decisions.diverged):
+        found.append(f"the estimate diverged at {clock.at(float(t[np.argmax(decisions.diverged)]))}")
+    if any(b - a >= LASTING - 1 for a, b in spans(decisions.capped, 1)):  # shorter ones may be noise
+        found.append(f"more sensors disagree with it than can be isolated in {np.sum(decisions.capped)} of {t.size} samples")
+    return tuple(found)
+
+
+def _warn(
+    detector: Detector, log: Log, decisions: Decision, gaps: Sequence[Gap], clock: Clock, unread: Collection[str]
+) -> None:
+    """Warn of what the events do not show."""
+    (t, y, u), remarks = log, []
+
+    def first(flags: Array) -> str:
+        return clock.at(float(t[np.argmax(flags)]))
+
+    for g in gaps:
+        if g.reset:
+            remarks.append(
+                f"no row for {g.end - g.start:g} s before {clock.at(g.end)}, {g.steps:.4g} steps of the model: the estimate "
+                "starts anew from the initial state; check that times are in seconds"
+            )
+    none = np.all(np.isnan(y), axis=0)
+    silent = [name for name, empty in zip(detector.plant.sensor_names, none, strict=True) if empty and name not in unread]
+    if silent:
+        some = ", ".join(silent[:8]) + (f" and {len(silent) - 8} more" if len(silent) > 8 else "")
+        whole = ": the diagnosis is only the model's prediction" if none.all() else ""
+        remarks.append(f"no readings of {some}{whole}; fill their columns to have them tested")
+    known = np.isfinite(decisions.residual)
+    if known.any() and np.all(np.isinf(decisions.threshold), where=known):
+        remarks.append(
+            f"{type(detector).__name__} cannot raise an alarm: its thresholds are infinite; set them with "
+            "fit_thresholds(healthy)"
+        )
+    for values, absurd, signals, fate in (
+        (y, decisions.absurd, detector.plant.sensors, "taken as missing"),
+        (u, decisions.absurd_input, detector.plant.inputs, "replaced by the plant's usual input"),
+    ):
+        for i in np.flatnonzero(np.any(absurd, axis=0)) if absurd.shape == values.shape else ():
+            where = np.flatnonzero(absurd[:, i])
+            remarks.append(
+                f"{signals[i].name}: {where.size} of {t.size} values are impossible, the first {values[where[0], i]:g} "
+                f"{signals[i].unit} at {first(absurd[:, i])}; {fate}: leave such cells empty, or check units"
+            )
+    if np.any(decisions.capped):
+        most, of = detector.most_faults, len(detector.plant.sensors)
+        remarks.append(
+            f"more sensors would be isolated in {np.sum(decisions.capped)} of {t.size} samples, first at "
+            f"{first(decisions.capped)}, but {most:g} of {of} are excluded already, all that the detector "
+            f"allows ({detector.why_no_more()}): check the model, or pass max_faults"
+        )
+    for flags, what, cure in (
+        (decisions.guarded, "left the limits of the model and was moved back", "check units, inputs and parameters"),
+        (decisions.diverged, "diverged and is not valid", "check units, inputs and parameters, or cut the log before"),
+    ):
+        if np.any(flags):
+            remarks.append(f"the estimate {what} in {np.sum(flags)} of {t.size} samples, first at {first(flags)}; {cure}")
+    for remark in remarks:
+        warnings.warn(remark, DiagnosisWarning, stacklevel=6)  # the caller of diagnose

@@ -1,0 +1,300 @@
+"""From Decisions of one run to events, and events in words: sensors, process or model, or no decision between hypotheses."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.common.clock import Clock
+from fusion_sfdia.detectors.detector import Decision, Detector, ProcessHypothesis
+
+Array = NDArray[Any]
+
+MOST_NAMES = 4  # in a sentence
+LASTING = 3  # samples
+CERTAIN = 0.95  # a confidence below is stated
+NO_FAULT = "no fault"
+EVEN = 0.5  # a confidence below which it is rather something else
+
+
+@dataclass(frozen=True)
+class Event:
+    """A sensor that is isolated, silent or frozen from start to end (s).
+
+    size: of the fault, in the sensor's unit, with its 95 % interval from low to high, and over the sigma of the sensor's noise
+    (sigmas). open: whether it still acts at the end of the data. fault: its kind, see `fault_kinds`, "" where it is not known,
+    and fault_alternatives, kinds that it may be as well. confidence: probability that it is this sensor and not another, and
+    alternatives, the other hypotheses that could not be excluded when it was isolated. NaN where not known.
+    """
+
+    kind: ClassVar[str] = "sensor"
+    hypothesis: str
+    start: float
+    end: float
+    size: float
+    unit: str
+    open: bool
+    fault: str = field(default="", kw_only=True)
+    low: float = field(default=math.nan, kw_only=True)
+    high: float = field(default=math.nan, kw_only=True)
+    sigmas: float = field(default=math.nan, kw_only=True)
+    confidence: float = field(default=math.nan, kw_only=True)
+    alternatives: tuple[str, ...] = field(default=(), kw_only=True)
+    fault_alternatives: tuple[str, ...] = field(default=(), kw_only=True)
+
+    def __str__(self) -> str:
+        return self.told(Clock())
+
+    def told(self, clock: Clock) -> str:
+        """The event in words, with the times of a clock."""
+        end = "end of the log" if self.open else clock.at(self.end)
+        doubts = [f"confidence {self.confidence:.2f}"] if self.confidence < CERTAIN else []
+        doubts += [f"not excluded: {listed(self.alternatives)}"] if self.alternatives else []
+        return "; ".join([f"{self.hypothesis}: {clock.at(self.start)} to {end}, {self.extent}", *doubts])
+
+    def fields(self, clock: Clock) -> dict[str, Any]:
+        """For programs: its kind, its fields by name, and its times by ISO 8601, None where the clock has no start."""
+        return {"kind": self.kind, **asdict(self), "start_time": clock.iso(self.start), "end_time": clock.iso(self.end)}
+
+    @property
+    def extent(self) -> str:
+        """Kind and size in words."""
+        kind = " or ".join([self.fault, *self.fault_alternatives])
+        if not math.isfinite(self.size):
+            return kind or "size unknown"
+        size = with_unit(f"{kind or 'size'} {self.size:.4g}", self.unit)
+        if not math.isfinite(self.low):
+            return size
+        return f"{size} ({self.low:.4g} to {self.high:.4g}), {abs(self.sigmas):.3g} sigma"
+
+    @property
+    def period(self) -> str:
+        """When, in words."""
+        return self.when(Clock())
+
+    def when(self, clock: Clock) -> str:
+        """When, in words, with the times of a clock."""
+        if self.open:
+            return f"since {clock.at(self.start)}"
+        return (
+            f"at {clock.at(self.start)}" if self.start == self.end else f"from {clock.at(self.start)} to {clock.at(self.end)}"
+        )
+
+
+@dataclass(frozen=True)
+class OtherEvent(Event):
+    """Another hypothesis than a sensor that a detector isolates; it has no unit."""
+
+    kind: ClassVar[str] = "other"
+
+
+@dataclass(frozen=True)
+class ProcessEvent(Event):
+    """A process hypothesis that is accepted from start to end (s).
+
+    size, sd: how far the process is above the model and the standard deviation of that, medians over the event. nominal: the
+    value of the model, NaN where there is none. All in the unit of the hypothesis.
+    """
+
+    kind: ClassVar[str] = "process"
+    sd: float
+    nominal: float
+
+    def told(self, clock: Clock) -> str:
+        """The event in words, with the times of a clock."""
+        return f"{self.difference} {self.when(clock)}: not a sensor"
+
+    @property
+    def difference(self) -> str:
+        """How far the process is from the model, in percent of the nominal value where that is not 0."""
+        share = np.isfinite(self.nominal) and self.nominal != 0
+        scale, unit = (100.0 / abs(self.nominal), "%") if share else (1.0, self.unit)
+        size, sd = with_spread(abs(self.size) * scale, self.sd * scale)
+        return f"{self.hypothesis} {with_unit(size, unit)} +- {sd} {'below' if self.size < 0 else 'above'} the model"
+
+
+@dataclass(frozen=True)
+class UnnamedEvent(Event):
+    """From start to end (s) readings differ from the model as neither one sensor nor one of its unknowns explains."""
+
+    kind: ClassVar[str] = "process"
+
+    def told(self, clock: Clock) -> str:
+        """The event in words, with the times of a clock."""
+        return f"process {self.when(clock)}: no single sensor and no single unknown of the model explains the readings"
+
+
+@dataclass(frozen=True)
+class OperationEvent(Event):
+    """From start to end (s) operation was as in no healthy log, so that what looks wrong may be right."""
+
+    kind: ClassVar[str] = "outside"
+
+    def told(self, clock: Clock) -> str:
+        """The event in words, with the times of a clock."""
+        return f"{self.hypothesis} {self.when(clock)}: what looks wrong may be right there"
+
+
+@dataclass(frozen=True)
+class UndecidedEvent(Event):
+    """An alarm from start to end (s) that no hypothesis explains clearly better than others; it has no size.
+
+    suspects: the names of those that stood together longest, the most probable first.
+    """
+
+    kind: ClassVar[str] = "undecided"
+    suspects: tuple[str, ...]
+
+    def told(self, clock: Clock) -> str:
+        """The event in words, with the times of a clock."""
+        return f"{unsure(self.suspects)}, {self.when(clock)}"
+
+
+def events_of(detector: Detector, t: Array, decisions: Decision, gap: int) -> tuple[Event, ...]:
+    """Events of Decisions (K, ...) at times t (K,) s: the process first, then what is undecided, then sensors and others; of
+    each in order of their start.
+
+    Events of one hypothesis less than `gap` samples apart are one.
+    """
+    sensors = detector.plant.sensors
+    found: list[Event] = []
+    for i, name in enumerate(detector.hypotheses):
+        kind, unit = (Event, sensors[i].unit) if i < len(sensors) else (OtherEvent, "")
+        for a, b in spans(decisions.isolated[:, i], gap):
+            found.append(kind(name, *_when(t, a, b), median(decisions.fault_size[a : b + 1, i]), unit, b == len(t) - 1))
+    found.sort(key=lambda e: (e.start, e.hypothesis))
+    tested = detector.process_hypotheses
+    names = (*detector.hypotheses, *(h.name for h in tested))
+    return (*_process(tested, t, decisions, gap), *_undecided(names, t, decisions, gap), *found)
+
+
+def _process(tested: Sequence[ProcessHypothesis], t: Array, decisions: Decision, gap: int) -> list[Event]:
+    if decisions.process is None or decisions.process_size is None or decisions.process_sd is None:
+        return []
+    found: list[Event] = []
+    for j, h in enumerate(tested):
+        for a, b in spans(decisions.process[:, j], gap):
+            if not h.has_size:
+                kind = OperationEvent if h.kind == "outside" else UnnamedEvent
+                found.append(kind(h.name, *_when(t, a, b), float("nan"), "", b == len(t) - 1))
+                continue
+            size, sd = (median(values[a : b + 1, j]) for values in (decisions.process_size, decisions.process_sd))
+            found.append(ProcessEvent(h.name, *_when(t, a, b), size, h.unit, b == len(t) - 1, sd, h.nominal))
+    return sorted(found, key=lambda e: (e.start, e.hypothesis))
+
+
+def _undecided(names: Sequence[str], t: Array, decisions: Decision, gap: int) -> list[Event]:
+    if decisions.suspect is None:
+        return []
+    found: list[Event] = []
+    for a, b in spans(np.any(decisions.suspect, axis=-1), gap):
+        sets = [tuple(np.flatnonzero(held).tolist()) for held in decisions.suspect[a : b + 1] if np.any(held)]
+        chosen = list(Counter(reversed(sets)).most_common(1)[0][0])  # the later one at a tie
+        known = np.zeros((1, len(names))) if decisions.probability is None else decisions.probability[a : b + 1]
+        likely = np.nan_to_num(known).mean(axis=0)
+        suspects = tuple(names[i] for i in sorted(chosen, key=lambda i: -likely[i]))
+        when = _when(t, a, b)
+        found.append(UndecidedEvent(" or ".join(suspects), *when, float("nan"), "", b == len(t) - 1, suspects))
+    return found
+
+
+def _when(t: Array, a: int, b: int) -> tuple[float, float]:
+    return float(t[a]), float(t[b])
+
+
+def verdict(events: Sequence[Event], t: Array) -> str:
+    """What the events of readings at times t (K,) say together: process or model, what cannot be told, sensors, or no fault."""
+    parts = []
+    if process := [e.hypothesis for e in events if e.kind == "process"]:
+        parts.append(f"process or model: {listed(process)}")
+    if outside := [e.hypothesis for e in events if e.kind == "outside"]:
+        parts.append(f"outside what was learnt: {listed(outside)}")
+    for suspects in dict.fromkeys(e.suspects for e in open_questions(events, t)):
+        parts.append(unsure(suspects))
+    likely = [e for e in events if not e.confidence < EVEN]
+    for kind, word in (("sensor", "sensor"), ("other", "fault")):
+        if named := [e.hypothesis for e in likely if e.kind == kind]:
+            parts.append(f"{word}{'s' * (len(set(named)) > 1)} {listed(named)}")
+    known = {e.hypothesis for e in likely}
+    if others := [e.hypothesis for e in events if e.confidence < EVEN and e.hypothesis not in known]:
+        parts.append(f"perhaps {listed(others)}")
+    return "; ".join(parts) or NO_FAULT
+
+
+def unsure(suspects: Sequence[str]) -> str:
+    """What an alarm that no hypothesis explains clearly may be."""
+    return f"perhaps {suspects[0]}" if len(suspects) == 1 else f"cannot tell: {listed(suspects, ' or ')}"
+
+
+def open_questions(events: Sequence[Event], t: Array) -> list[UndecidedEvent]:
+    """What the readings at times t (K,) leave undecided.
+
+    Not an alarm that ends within LASTING samples, as noise may raise one; nor one of whose suspects one is isolated or accepted
+    while it lasts or in the sample after.
+    """
+    found = []
+    for e in events:
+        if isinstance(e, UndecidedEvent):
+            first, last = np.searchsorted(t, (e.start, e.end))
+            after = t[min(last + 1, len(t) - 1)]
+            decided = any(o.hypothesis in e.suspects and o.start <= after and o.end >= e.start for o in events)
+            if not decided and (e.open or last - first >= LASTING - 1):
+                found.append(e)
+    return found
+
+
+def throughout(events: Sequence[Event], t: Array) -> list[str]:
+    """The sensors that are off from the first of the readings at t (K,), or LASTING samples after, to the last.
+
+    A frozen or silent sensor is not among them: what it lacks is no question of units.
+    """
+    early = t[min(LASTING, len(t) - 1)]
+    named = [e for e in events if e.kind == "sensor" and e.fault not in ("freeze", "dropout")]
+    return [e.hypothesis for e in named if e.open and e.start <= early < e.end]
+
+
+def listed(names: Sequence[str], between: str = ", ", most: int = MOST_NAMES) -> str:
+    """Names in a sentence, each once, of many the first few."""
+    once = list(dict.fromkeys(names))
+    more = len(once) - most
+    return between.join(once) if more < 2 else f"{between.join(once[:most])}{between}{more} more"
+
+
+def with_unit(value: str, unit: str) -> str:
+    """A value as text with its unit, which a pure number has not."""
+    return value if unit in ("", "1") else f"{value} {unit}"
+
+
+def with_spread(value: float, sd: float) -> tuple[str, str]:
+    """A value and its standard deviation as text, to the first digit of the latter, or the second after a 1."""
+    if not (math.isfinite(value) and math.isfinite(sd) and sd > 0):
+        return f"{value:.3g}", f"{sd:.3g}"
+    places = -math.floor(math.log10(sd))
+    places += round(sd, places) < 2 * 10.0**-places  # of 0.0149 and 1.49 the second digit, too
+    if not -6 < places < 6:
+        return f"{value:.3g}", f"{sd:.1g}"
+    return f"{round(value, places):.{max(places, 0)}f}", f"{round(sd, places):.{max(places, 0)}f}"
+
+
+def spans(held: Array, gap: int = 1) -> list[tuple[int, int]]:
+    """Return first and last index of each run of True in held (K,); runs less than `gap` samples apart are joined."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], held, [False]]).astype(int)))
+    joined: list[tuple[int, int]] = []
+    for a, b in zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True):
+        if joined and a - joined[-1][1] - 1 < gap:
+            joined[-1] = (joined[-1][0], b)
+        else:
+            joined.append((a, b))
+    return joined
+
+
+def median(sizes: Array) -> float:
+    """The median of the numbers that are finite, NaN without any."""
+    known = sizes[np.isfinite(sizes)]
+    return float(np.median(known)) if known.size else float("nan")

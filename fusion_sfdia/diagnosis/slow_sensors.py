@@ -1,0 +1,84 @@
+"""Sensors that repeat their value until a new one comes, found while rows arrive: their repeats count as missing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.regularity import FEWEST, SEVERAL, of_lengths, step_of
+
+Array = NDArray[Any]
+
+KEPT = 40  # runs of equal readings of each sensor, and changes between them
+UNDECIDED = 40  # readings that are repeats at most, as long as a sensor has not had FEWEST runs
+CURE = "its repeats are taken as missing"
+
+
+class SlowSensors:
+    """Takes the readings of one row after another and returns them without repeats; `say` is called once for a slow sensor.
+
+    The last KEPT runs of equal readings of a sensor decide whether it is slow, as `regularity.repeat` decides it for a log.
+    Before it has had FEWEST of them, equal readings are repeats, at most UNDECIDED in a row: of a sensor that reads anew in
+    each row none are equal, and it has had them after as many rows. A frozen sensor is not slow: what is equal for longer is
+    kept.
+    """
+
+    def __init__(self, plant: Plant, say: Callable[[str], None]) -> None:
+        count = len(plant.sensors)
+        self.names, self.say = plant.sensor_names, say
+        self.last, self.age, self.seen = np.full(count, np.nan), np.zeros(count, int), np.zeros(count, int)
+        self.lengths, self.changes = np.zeros((count, KEPT), int), np.zeros((count, KEPT))
+        self.longest = np.full(count, UNDECIDED)  # repeats have a lower age
+        self.told = np.zeros(count, bool)
+
+    def take(self, y: Array) -> Array:
+        """The readings (N,) with NaN for repeats; the same array where none is."""
+        equal = y == self.last
+        self.age[equal] += 1
+        new = np.isfinite(y) & ~equal
+        for i in np.flatnonzero(new & np.isfinite(self.last)).tolist():
+            self._ended(i, abs(float(y[i] - self.last[i])))
+        self.last, self.age = np.where(new, y, self.last), np.where(new, 0, self.age)
+        repeated = equal & (self.age < self.longest)
+        return np.where(repeated, np.nan, y) if repeated.any() else y
+
+    def _ended(self, i: int, change: float) -> None:
+        """A run of equal readings of sensor i has ended with such a change; the first may have begun before."""
+        k = int(self.seen[i])
+        self.seen[i] += 1
+        if k == 0:
+            return
+        self.lengths[i, (k - 1) % KEPT], self.changes[i, (k - 1) % KEPT] = self.age[i] + 1, change
+        if k < FEWEST:
+            return
+        lengths, changes = self.lengths[i, : min(k, KEPT)], self.changes[i, : min(k, KEPT)]
+        self.longest[i] = 1
+        if np.median(lengths) < 2:
+            return
+        step = step_of(changes)
+        if step and np.mean(np.rint(changes / step) >= 2) < SEVERAL:
+            return
+        found = of_lengths(lengths)
+        self.longest[i] = found.longest
+        if not self.told[i]:
+            self.told[i] = True
+            self.say(f"{self.names[i]} repeats its value, new every {found.usual} rows: {CURE}")
+
+    def arrays(self) -> dict[str, Array]:
+        """What `restore` goes on from."""
+        return {name: getattr(self, name) for name in ARRAYS}
+
+    def restore(self, arrays: dict[str, Array]) -> None:
+        """Go on from `arrays`; KeyError or ValueError for those of other sensors."""
+        for name in ARRAYS:
+            now: Array = getattr(self, name)
+            if arrays[name].shape != now.shape or arrays[name].dtype != now.dtype:
+                raise ValueError(f"{name} of slow sensors has shape {arrays[name].shape}; expected {now.shape}")
+            setattr(self, name, arrays[name].copy())
+
+
+ARRAYS = ("last", "age", "seen", "lengths", "changes", "longest", "told")

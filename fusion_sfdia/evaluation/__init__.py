@@ -1,1 +1,0 @@
-"""Simulated recordings, faults, logs, and the metrics of detection, isolation and accommodation."""

@@ -1,0 +1,290 @@
+"""The verdict of each row in trouble: a sensor, the process, operation that was not learnt, the recorder, or "cannot tell".
+
+A sensor is named where leaving it out explains everything: no test of any other one is beyond its limit, and operation is as
+learnt. Other channels of which that holds as well are rivals, and the verdict is that one of them is wrong.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.learning.monitor.held_out import WITNESS, Learnt
+from fusion_sfdia.learning.monitor.judging import Judged
+from fusion_sfdia.learning.monitor.residuals import Test, level_errors, novelty
+
+Array = NDArray[Any]
+
+OK, SENSOR, MOVED, ONE_OF, PROCESS, OUTSIDE, RECORDER = range(7)
+MOST = 5  # sensors that are tried, those with the largest ratios
+NEAR = 0.4  # by so much more may be left by a rival
+SMALL = 0.15  # or so small a share of the largest ratio; chosen on a recorded fault of the chemical plant (d05)
+TWO = 8  # sensors, from which on two may be named
+CLEAR = 2.0  # times its limit that the first of two leaves, from which on the second is named, too, and not suspected
+HOLD = 4  # windows of the scale that saw it, for which a process verdict keeps sensors from being named
+REST = 16  # rows without trouble after which it is over
+
+
+class Causes(NamedTuple):
+    """Of each row its kind (K,), the sensors that are named and the channels suspected (K, n), and what shows it.
+
+    size (K, N): by how much a named sensor is off, in standard deviations. scale (K,): rows of the window that shows it most.
+    ratio (K,): how far the largest statistic is beyond its limit. outside (K,): whether operation is outside what was learnt.
+    """
+
+    kind: Array
+    named: Array
+    suspect: Array
+    size: Array
+    scale: Array
+    ratio: Array
+    outside: Array
+
+    @property
+    def alarm(self) -> Array:
+        """Rows in trouble (K,) other than by operation that was not learnt alone."""
+        return np.asarray((self.kind != OK) & (self.kind != OUTSIDE))
+
+
+class Trouble(NamedTuple):
+    """What of the rows before decides whether sensors are named, counted to the next row.
+
+    until, last: rows until which the process keeps them from it, and since the last row in trouble, negative; process, sensor:
+    rows of such verdicts since the trouble began; moved (n,): sensors that have "moved" since.
+    """
+
+    until: int
+    last: int
+    process: int
+    sensor: int
+    moved: Array
+
+    @classmethod
+    def none(cls, channels: int) -> Trouble:
+        """At the beginning."""
+        return cls(-1, -REST - 1, 0, 0, np.zeros(channels, bool))
+
+
+def causes(learnt: Learnt, found: Judged, before: Trouble | None = None) -> tuple[Causes, Trouble]:
+    """The verdict of each row, and what the next ones take from them."""
+    tests = learnt.limits.tests
+    total, n = found.ratio.shape[1:]
+    channels = found.means[1].now.shape[1]
+    ratio = found.ratio.copy()
+    stops = np.array([t.kind in ("repeats", "missing") for t in tests])
+    ratio[:, found.stopped] = 0.0
+    ratio[stops] = 0.0
+    outside = found.outside
+    by_sensor = ratio.max(axis=0)
+    top = by_sensor.max(axis=1)
+    kind = np.full(total, OK)
+    named, suspect = np.zeros((total, channels), bool), np.zeros((total, channels), bool)
+    size = np.full((total, n), np.nan)
+    scale = np.array([t.scale for t in tests])[np.argmax(ratio.max(axis=2), axis=0)]
+    rows = np.flatnonzero((top > 1) | outside)
+    if rows.size:
+        _explain(learnt, found, ratio[:, rows], rows, (kind, named, suspect, size))
+    named[:, :n] |= found.stopped
+    kind[found.stopped.any(axis=1) & (kind == OK)] = SENSOR
+    kind[found.together] = RECORDER
+    named[found.together] = suspect[found.together] = False
+    trouble = _hold((kind, named, suspect), found.stopped, scale, before or Trouble.none(channels))
+    shown = np.maximum(top, np.where(found.stopped.any(axis=1), found.ratio[stops].max(axis=(0, 2)), 0.0))
+    shown = np.maximum(shown, np.maximum(found.novel.max(axis=0), found.unlike.max(axis=1)))
+    return Causes(kind, named, suspect, size, scale, shown, outside), trouble
+
+
+def _explain(learnt: Learnt, found: Judged, ratio: Array, rows: Array, into: tuple[Array, ...]) -> None:
+    kind, named, suspect, size = into
+    tests = learnt.limits.tests
+    n, channels = ratio.shape[2], found.means[1].now.shape[1]
+    slow = np.array([t.kind in ("level", "change") for t in tests])
+    by_scale = {w: [k for k, t in enumerate(tests) if slow[k] and t.scale == w] for w in {t.scale for t in tests}}
+    wanted = {w: (ratio[ks].max(axis=(0, 2)) > 1) for w, ks in by_scale.items() if ks}
+    by_sensor = ratio.max(axis=0)
+    order = np.argsort(-by_sensor, axis=1)[:, : min(MOST, n)]
+    tried = np.zeros((rows.size, channels), bool)
+    np.put_along_axis(tried, order, True, axis=1)
+    tried[:, :n] &= by_sensor > 0
+    tried[:, n:] = True
+    partner = learnt.limits.partner
+    for i in np.flatnonzero(partner >= 0):
+        tried[:, partner[i]] |= tried[:, i]
+    left = np.full((rows.size, channels), np.inf)
+    nov = np.full((rows.size, channels), np.inf)
+    for s in range(channels):
+        own = np.flatnonzero(tried[:, s])
+        if own.size:
+            left[own, s], nov[own, s] = _without(learnt, found, rows[own], (s,), {w: m[own] for w, m in wanted.items()})
+    largest = by_sensor.max(axis=1)
+    explains = (left <= 1) & (nov <= 1)
+    explains[:, n:] = False
+    best = np.argmin(np.where(explains, left, np.inf), axis=1)
+    some = explains.any(axis=1) & (largest > 1)
+    least = left[np.arange(rows.size), best][:, None]
+    rival = (((left < 1) & (left < least + NEAR)) | (left < SMALL * largest[:, None])) & some[:, None]
+    rival[np.arange(rows.size), best] = False
+    outside = found.outside[rows]
+    only_fast = (ratio[slow].max(axis=(0, 2)) <= 1) & (largest > 1)
+    for r, row in enumerate(rows):
+        if only_fast[r] and outside[r]:
+            kind[row] = OUTSIDE  # where noise is another one, too
+            continue
+        if only_fast[r]:
+            above = np.flatnonzero(by_sensor[r] > 1)
+            if above.size == 1:
+                kind[row], named[row, above] = SENSOR, True
+                continue
+            if above.size == 2:
+                kind[row], suspect[row, above] = ONE_OF, True
+                continue
+        if some[r]:
+            s = int(best[r])
+            if s < n and partner[s] >= 0 and left[r, partner[s]] < CLEAR:
+                rival[r, partner[s]] = True
+            if rival[r].any():
+                kind[row], suspect[row] = ONE_OF, rival[r]
+                suspect[row, s] = True
+            else:
+                kind[row], named[row, s] = SENSOR, True
+            continue
+        if n >= TWO and largest[r] > 1:
+            pair = _two(learnt, found, row, by_sensor[r], (left[r], {w: m[r] for w, m in wanted.items()}))
+            if pair and partner[pair[0]] == pair[1]:
+                kind[row], suspect[row, list(pair)] = ONE_OF, True
+                continue
+            if pair:
+                kind[row], named[row, pair[0]] = SENSOR, True
+                (named if left[r, pair[0]] > CLEAR else suspect)[row, pair[1]] = True
+                continue
+        kind[row] = OUTSIDE if outside[r] else PROCESS
+    drifted = named[rows][:, :n] & learnt.limits.trend
+    for r in np.flatnonzero(drifted.any(axis=1)).tolist():  # while they were learnt: they are not named
+        suspect[rows[r], :n] |= drifted[r]
+        named[rows[r], :n] &= ~drifted[r]
+        kind[rows[r]] = kind[rows[r]] if named[rows[r]].any() else OUTSIDE
+    _sizes(learnt, found, rows, ratio, named, size)
+    _words(learnt, ratio, rows, kind, named, suspect)
+
+
+def _without(
+    learnt: Learnt, found: Judged, rows: Array, which: tuple[int, ...], wanted: dict[int, Array]
+) -> tuple[Array, Array]:
+    """The largest ratio of other sensors at the wanted scales, and novelty, without some channels (R,)."""
+    tests, limits = learnt.limits.tests, learnt.limits.limit
+    n = limits.shape[1]
+    at = {t: k for k, t in enumerate(tests)}
+    left, nov = np.zeros(rows.size), np.zeros(rows.size)
+    for scale in learnt.familiar:
+        means = found.every[scale.w].at(rows)
+        for s in which:
+            means = means.without(s)
+        nov = np.fmax(nov, np.nan_to_num(novelty(scale, means.now) / scale.limit))
+    for scale in learnt.model:
+        if scale.w not in wanted or not wanted[scale.w].any():
+            continue
+        means = found.means[scale.w].at(rows)
+        for s in which:
+            means = means.without(s)
+        e = level_errors(scale, means, n)
+        for name, values in (("level", e.level), ("change", e.change)):
+            r = np.nan_to_num(np.abs(values) / limits[at[Test(name, scale.w)]])
+            if name == "level":
+                r[:, learnt.limits.trend] = 0.0
+            for s in which:
+                if s < n:
+                    r[:, s] = 0.0
+            left = np.fmax(left, np.where(wanted[scale.w], r.max(axis=1), 0.0))
+    return left, nov
+
+
+def _two(
+    learnt: Learnt, found: Judged, row: int, by_sensor: Array, of_row: tuple[Array, dict[int, Array]]
+) -> tuple[int, int] | None:
+    """Two sensors that explain a row together, the best one with each of the next three; of_row: what each leaves, and the
+    scales in alarm.
+    """
+    n, (left, wanted) = by_sensor.size, of_row
+    order = np.argsort(-by_sensor)
+    first = int(np.argmin(left[:n])) if np.isfinite(left[:n]).any() else int(order[0])
+    at, one = np.array([row]), {w: np.array([m]) for w, m in wanted.items()}
+    for other in [int(s) for s in order if s != first][:3]:
+        if by_sensor[other] <= 1:
+            break
+        rest, nov = _without(learnt, found, at, (first, other), one)
+        if rest[0] <= 1 and nov[0] <= 1:
+            return first, other
+    return None
+
+
+def _sizes(learnt: Learnt, found: Judged, rows: Array, ratio: Array, named: Array, size: Array) -> None:
+    """By how much the named sensors are off: the level at the scale that shows it most, without the other named ones."""
+    tests = learnt.limits.tests
+    n = size.shape[1]
+    levels = [k for k, t in enumerate(tests) if t.kind == "level"]
+    best = np.array([tests[k].scale for k in levels])[np.argmax(ratio[levels], axis=0)]  # (R, N)
+    for scale in (s for s in learnt.model if s.w in found.means):
+        some = named[rows][:, :n] & (best == scale.w)
+        own = np.flatnonzero(some.any(axis=1))
+        if own.size:
+            means = found.means[scale.w].at(rows[own])._replace(quarter=None)
+            e = level_errors(scale, means, n)
+            at = rows[own]
+            size[at] = np.where(some[own], e.level * e.wider, size[at])
+
+
+def _words(learnt: Learnt, ratio: Array, rows: Array, kind: Array, named: Array, suspect: Array) -> None:
+    """A sensor that nothing else measures has moved: it or the process."""
+    tests = learnt.limits.tests
+    n = ratio.shape[2]
+    alone = learnt.limits.explained < WITNESS
+    noisy = [k for k, t in enumerate(tests) if t.kind in ("noise", "spike")]
+    of_four = [k for k, t in enumerate(tests) if t.kind in ("level", "change") and t.scale == 4]
+    long = [k for k, t in enumerate(tests) if t.kind in ("level", "change") and t.scale >= 16]
+    by_noise = ratio[noisy].max(axis=0) >= ratio[of_four].max(axis=0) if of_four else ratio[noisy].max(axis=0) > 1
+    if long:
+        by_noise &= ratio[long].max(axis=0) <= 1
+    by_noise &= ratio[noisy].max(axis=0) > 1
+    doubt = (kind[rows] == SENSOR)[:, None] & named[rows][:, :n] & alone & ~by_noise
+    for r in np.flatnonzero(doubt.any(axis=1)):
+        row = rows[r]
+        suspect[row, :n] |= doubt[r]
+        named[row, :n] &= ~doubt[r]
+        if not named[row].any():
+            kind[row] = MOVED
+
+
+def _hold(verdicts: tuple[Array, Array, Array], stopped: Array, scale: Array, before: Trouble) -> Trouble:
+    """While trouble is mostly the process, no sensor is named but those that stopped; nor is one that has "moved" before.
+
+    verdicts: kind (K,), named and suspect (K, n), which change.
+    """
+    (kind, named, suspect), n = verdicts, stopped.shape[1]
+    until, last, process, sensor, moved = before._replace(moved=before.moved.copy())
+    for k in np.flatnonzero(kind != OK).tolist():
+        if k - last > REST and k > until:
+            process = sensor = 0
+        if k - last > REST:
+            moved[:] = False
+        if kind[k] in (PROCESS, OUTSIDE):
+            process += 1
+            until = max(until, k + HOLD * max(int(scale[k]), REST))
+        elif kind[k] in (SENSOR, MOVED, ONE_OF):
+            if kind[k] == MOVED:
+                moved |= suspect[k]
+            again = named[k] & moved
+            again[:n] &= ~stopped[k]
+            if (k <= until or k - last <= REST) and process > sensor:
+                suspect[k] |= named[k]
+                named[k, :n] &= stopped[k]
+                kind[k] = SENSOR if named[k].any() else PROCESS
+            elif again.any():
+                suspect[k] |= again
+                named[k] &= ~again
+                kind[k] = SENSOR if named[k].any() else MOVED
+            sensor += 1
+        last = k
+    rows = len(kind)
+    return Trouble(until - rows, last - rows, process, sensor, moved)

@@ -1,0 +1,383 @@
+"""Monitoring without a model: what is learnt from healthy logs, kept in one file, and the diagnosis of other logs with it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.common.clock import Clock
+from fusion_sfdia.common.rate import Rate, lasting
+from fusion_sfdia.detectors.storage import read_arrays, write_arrays
+from fusion_sfdia.diagnosis.diagnose import Diagnosis
+from fusion_sfdia.diagnosis.events import with_unit
+from fusion_sfdia.diagnosis.watch import Watch
+from fusion_sfdia.learning.monitor.causes import OK
+from fusion_sfdia.learning.monitor.channels import Channels, Piece, learn_channels, pieces_of, usual_step
+from fusion_sfdia.learning.monitor.held_out import WITNESS, Learnt, learn
+from fusion_sfdia.learning.monitor.live_monitor import LiveMonitor, Past, follow
+from fusion_sfdia.learning.monitor.residuals import rows_of
+from fusion_sfdia.learning.monitor.row_verdicts import JOINED, SECONDS, Verdicts, diagnosed, joined_verdicts, plant_of
+from fusion_sfdia.learning.monitor.saved import packed, unpacked
+from fusion_sfdia.learning.monitor.unmodelled_logs import load, signals_of
+from fusion_sfdia.logs.loaded_log import LoadedLog
+from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap, load_map
+from fusion_sfdia.plant.gaps import LONG, SKIPPED
+from fusion_sfdia.plant.log import Log
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.signals import Signal
+
+Array = NDArray[Any]
+
+FALSE_ALARM = 0.01  # share of rows: some hundred healthy rows support no lower one
+SUPPORTED = 4.0  # rows in alarm that the healthy rows would hold at the lowest rate that they can set
+FOUND = 1.3  # standard deviations above its limit: a lasting bias of so much is found with a probability of 0.9
+LEAST = 64  # healthy rows
+AT_ONCE = 4096  # rows: of more, a log is judged in parts
+CHANGED = 1.25  # factor of a limit that is worth a line
+FEWEST, CLOSEST = 20, 0.1  # rows of a log from which on its step is judged, by this quantile of their distances
+VERSION = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Monitor:
+    """What was learnt from healthy logs of one plant; `Monitor.fit` makes it.
+
+    channels: which columns are used, and how. dt: step of the grid (s). rate: the stated share of rows in alarm, and per_row
+    what the limits are for. healthy: rows of each log, and where it begins and ends, in words. logs: they, in rows of
+    the grid.
+    """
+
+    channels: Channels
+    dt: float
+    rate: Rate
+    per_row: float
+    learnt: Learnt
+    healthy: tuple[tuple[str, int, str, str], ...]
+    logs: tuple[Log, ...]
+    remarks: tuple[str, ...] = field(default=())
+
+    @classmethod
+    def fit(
+        cls,
+        healthy: Any,
+        *,
+        inputs: Sequence[str] = (),
+        ignore: Sequence[str] = (),
+        log_map: LogMap | str | Path | None = None,
+        false_alarm: float | str | Rate = FALSE_ALARM,
+        say: Callable[[Any, LoadedLog], object] = lambda source, log: None,
+    ) -> Monitor:
+        """Learn from healthy logs: a file or a pandas frame, or a sequence of them, each of one run.
+
+        inputs, ignore: titles of columns that act on the plant, and that are left out; all others but the time are sensors.
+        log_map: how the logs are written, or the file that states it. false_alarm: share of rows in alarm, or such as "1/week".
+        say: called with each log as it was read. ValueError for files that cannot be read, for logs that do not fit or are too
+        short, and where no channel can be learnt.
+        """
+        sources = list(healthy) if isinstance(healthy, list | tuple) else [healthy]
+        if not sources:
+            raise ValueError("there are no healthy logs; expected at least one")
+        written = _map(log_map)
+        sensors, signals = signals_of(sources[0], inputs, ignore, written)
+        loaded = []
+        for source in sources:
+            loaded.append(load(source, sensors, signals, written))
+            say(source, loaded[-1])
+        names = list(map(_name, sources, range(1, len(sources) + 1)))
+        return cls.of_logs(
+            sensors, [one.log for one in loaded], inputs=signals, false_alarm=false_alarm, names=names,
+            clocks=[one.clock for one in loaded],
+        )  # fmt: skip
+
+    @classmethod
+    def of_logs(
+        cls,
+        sensors: Sequence[Signal],
+        healthy: Sequence[Log],
+        *,
+        inputs: Sequence[Signal] = (),
+        false_alarm: float | str | Rate = FALSE_ALARM,
+        dt: float | None = None,
+        names: Sequence[str] = (),
+        clocks: Sequence[Clock] = (),
+    ) -> Monitor:
+        """Learn from healthy logs, each of one run: t (K,), y (K, N) and u (K, m), NaN where missing.
+
+        false_alarm: share of rows in alarm, or such as "1/day". dt: step of the grid (s), None for that of the logs. names,
+        clocks: of the logs, in words.
+        ValueError for logs that do not fit, that are too short, or of which no channel can be learnt.
+        """
+        if not healthy:
+            raise ValueError("there are no healthy logs; expected at least one")
+        for k, log in enumerate(healthy, start=1):
+            if np.ndim(log.y) != 2 or log.y.shape[1] != len(sensors) or np.shape(log.u)[1:] != (len(inputs),):
+                raise ValueError(
+                    f"healthy log {k} has y of shape {np.shape(log.y)} and u of shape {np.shape(log.u)}; expected "
+                    f"{len(sensors)} sensors and {len(inputs)} inputs, a row a time"
+                )
+        dt = dt or usual_step(healthy)
+        stated = Rate.of(false_alarm)
+        logs = [pieces_of(log, dt) for log in healthy]
+        rows = sum(len(p.t) for log in logs for p in log)
+        if rows < LEAST:
+            raise ValueError(f"the healthy logs have {rows} rows in steps of {dt:g} s; expected at least {LEAST}: record more")
+        channels = learn_channels(sensors, inputs, logs)
+        per_row = stated.per_sample(dt)
+        least = SUPPORTED / rows
+        pieces = [p for log in logs for p in log]
+        of = [k for k, log in enumerate(logs) for _ in log]
+        learnt = learn([rows_of(channels, p.v)[0] for p in pieces], channels.count, max(per_row, least), of)
+        clocks = list(clocks) or [SECONDS] * len(healthy)
+        named = list(names) or [f"healthy log {k}" for k in range(1, len(healthy) + 1)]
+        origin = tuple(
+            (name, len(log.t), clock.at(float(log.t[0])), clock.at(float(log.t[-1])))
+            for name, log, clock in zip(named, healthy, clocks, strict=True)
+        )
+        moments = [
+            (float(p.t[0]), len(p.t), clock, name) for name, log, clock in zip(named, logs, clocks, strict=True) for p in log
+        ]
+        gridded = tuple(_as_log([_there(p) for p in log], len(sensors)) for log in logs)
+        found = cls(channels, dt, stated, max(per_row, least), learnt, origin, gridded)
+        return replace(found, remarks=tuple(_remarks(found, rows, per_row, moments)))
+
+    @property
+    def plant(self) -> Plant:
+        """The signals as a plant that does nothing, for reports; sigma: the deviation of the readings when healthy."""
+        return plant_of(self.channels, self.dt)
+
+    def on_grid(self, log: Log) -> Log:
+        """A log of one run with its rows as they are judged, y (K, N) and u (K, m), NaN where there is no reading."""
+        return _as_log(pieces_of(self._fitting(log), self.dt), len(self.channels.sensors))
+
+    def update(self, healthy: Any, *, log_map: LogMap | str | Path | None = None) -> Monitor:
+        """A monitor that has learnt from later healthy logs as well, with what has changed among its remarks.
+
+        healthy: as for `fit`, of the same columns. ValueError for other columns, and for rows that are further apart.
+        """
+        sources = list(healthy) if isinstance(healthy, list | tuple) else [healthy]
+        read = [source if isinstance(source, LoadedLog) else self.read(source, log_map) for source in sources]
+        count = len(self.channels.sensors)
+        later = [_as_log([_there(p) for p in pieces_of(self._fitting(one.log), self.dt)], count) for one in read]
+        names = [*(name for name, *_ in self.healthy), *map(_name, sources, range(len(self.logs) + 1, 10**6))]
+        sensors, inputs = self.channels.sensors, self.channels.inputs
+        found = Monitor.of_logs(sensors, [*self.logs, *later], inputs=inputs, false_alarm=self.rate, dt=self.dt, names=names)
+        origin = tuple(
+            (name, len(log.t), one.clock.at(float(log.t[0])), one.clock.at(float(log.t[-1])))
+            for name, log, one in zip(names[len(self.logs) :], later, read, strict=True)
+        )
+        return replace(found, healthy=(*self.healthy, *origin), remarks=(*_changes(self, found, later, names), *found.remarks))
+
+    def read(self, source: Any, log_map: LogMap | str | Path | None = None, *, absent_sensors: bool = False) -> LoadedLog:
+        """Read a log, a file or a pandas frame, of the columns that were learnt; ValueError where one is not there.
+
+        absent_sensors: whether sensors without a column are missing throughout.
+        """
+        return load(source, self.channels.sensors, self.channels.inputs, _map(log_map), absent_sensors=absent_sensors)
+
+    def diagnose(self, log: Any, clock: Clock = SECONDS, *, log_map: LogMap | str | Path | None = None) -> Diagnosis:
+        """Diagnose a log of one run: a file, a pandas frame, what `read` gave, or a Log, y (K, N) and u (K, m) of all sensors
+        and inputs, NaN where missing. clock: of a Log. log_map: how a file is written.
+        """
+        if isinstance(log, LoadedLog):
+            log, clock = log.log, log.clock
+        elif not isinstance(log, Log):
+            log, clock, *_ = self.read(log, log_map)
+        found = self.judge(log)
+        rows = sum(len(v.t) for v in found)
+        expected = f"without a fault some {self.learnt.limits.rate[0] * rows:.2g} of these {rows} rows would be in alarm"
+        return diagnosed(self.channels, self.dt, found, (self.promise, expected, *self.remarks), clock)
+
+    def judge(self, log: Log) -> list[Verdicts]:
+        """The verdicts on a log, of its pieces between gaps of more than 60 rows."""
+        found = []
+        for piece in pieces_of(self._fitting(log), self.dt):
+            parts, past = [], Past.none(self.channels, self.learnt)
+            for k in range(0, len(piece.t), AT_ONCE):
+                rows = slice(k, k + AT_ONCE)
+                verdicts, past = follow(self.channels, self.learnt, piece.t[rows], piece.v[rows], past)
+                parts.append(verdicts)
+            found.append(joined_verdicts(parts))
+        return found
+
+    def stream(self, state: str | Path | None = None, **settings: Any) -> Watch:
+        """The monitor over rows as they come: `take(t, y, u)` decides as `diagnose` does on the rows so far.
+
+        state: a file that `Watch.save` wrote, from which it goes on. settings: further ones of `Watch`.
+        """
+        of_monitor = {"gap": JOINED, "kinds": False, "repeats": True, "unknown_inputs": True, "longest_gap": LONG * self.dt}
+        detector = LiveMonitor(self.channels, self.dt, self.learnt)
+        return (
+            Watch(detector, **of_monitor | settings) if state is None else Watch.load(state, detector, **of_monitor | settings)
+        )
+
+    def _fitting(self, log: Log) -> Log:
+        t, y, u = log
+        if np.ndim(y) != 2 or y.shape[1] != len(self.channels.sensors) or np.shape(u)[1:] != (len(self.channels.inputs),):
+            raise ValueError(
+                f"y {np.shape(y)}, u {np.shape(u)} do not fit {len(self.channels.sensors)} sensors and "
+                f"{len(self.channels.inputs)} inputs; give those of the healthy logs"
+            )
+        if np.size(t) >= FEWEST and np.quantile(np.diff(t), CLOSEST) > SKIPPED * self.dt:
+            raise ValueError(
+                f"the log has a row every {np.median(np.diff(t)):g} s, and the monitor has learnt rows {self.dt:g} s apart; "
+                "learn another one from healthy logs with these steps"
+            )
+        return Log(t, y, u)
+
+    def smallest(self) -> dict[str, dict[int, float]]:
+        """Of each sensor the smallest lasting bias that is found with a probability of 0.9, in its unit, by rows of window."""
+        limits = self.learnt.limits
+        found: dict[str, dict[int, float]] = {}
+        for i, name in enumerate(self.channels.names[: self.channels.count]):
+            if np.isfinite(self.channels.floor[i]):
+                continue
+            found[name] = {
+                t.scale: float((limits.limit[k, i] + FOUND * limits.deviation[k, i]) * self.channels.sd[i])
+                for k, t in enumerate(limits.tests)
+                if t.kind == "level" and np.isfinite(limits.limit[k, i])
+            }
+        return found
+
+    @property
+    def promise(self) -> str:
+        """What is promised of the rate of rows in alarm, in words."""
+        trend = [n for n, t in zip(self.channels.names, self.learnt.limits.trend, strict=False) if t]
+        if trend:
+            return f"no rate of false alarms can be stated: {_and(trend)} drifted over the healthy logs; record longer ones"
+        mean, low, high = self.learnt.limits.rate
+        return f"rows in alarm without a fault: {mean:.2g} ({low:.2g} to {high:.2g}) for a log like the healthy ones"
+
+    def __str__(self) -> str:
+        count = sum(rows for _, rows, _, _ in self.healthy)
+        used, n = self.channels.names, self.channels.count
+        lines = [
+            f"learnt from {count} healthy rows, {lasting(self.dt)} apart: {n} sensors, {len(used) - n} inputs; windows of up "
+            f"to {max(t.scale for t in self.learnt.limits.tests)} rows",
+            self.promise,
+            *self.remarks,
+        ]
+        every = (*self.channels.sensors, *self.channels.inputs)
+        if kept := [f"{s.name} ({lasting(h * self.dt)})" for s, h in zip(every, self.channels.hold, strict=True) if h]:
+            lines.append(f"written on change, a reading counts until the next one, at most so long: {', '.join(kept)}")
+        lines += [f"left out: {name}, {why}" for name, why in self.channels.left_out.items()]
+        lines += [
+            f"{name}: never moved when healthy, always {value:.6g}; any other reading is reported"
+            for name, value in self.channels.still.items()
+        ]
+        units = {s.name: s.unit for s in self.channels.sensors}
+        for i, (name, sizes) in enumerate(self.smallest().items()):
+            if sizes:
+                w = min(sizes, key=lambda k: sizes[k])
+                alone = self.learnt.limits.explained[i] < WITNESS
+                size = with_unit(f"{sizes[w]:.3g}", units[name])
+                lines.append(
+                    f"{name}: a lasting bias of {size} is found within {lasting(w * self.dt)}"
+                    + ("; no other channel measures it, so sensor and process cannot be told apart" if alone else "")
+                )
+        return "\n".join(lines)
+
+    def save(self, path: str | Path) -> None:
+        """Write the monitor to one file; `Monitor.load` reads it."""
+        arrays, learnt = packed(self.channels, self.learnt)
+        about = {"version": VERSION, "dt": self.dt, "rate": str(self.rate), "per_row": self.per_row}
+        text = json.dumps({**about, "healthy": self.healthy, "remarks": self.remarks, **learnt})
+        rows = {f"log {k} {what}": values for k, log in enumerate(self.logs) for what, values in log._asdict().items()}
+        write_arrays(Path(path), {"monitor": np.array(text), **arrays, **rows}, compress=True)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Monitor:
+        """Read a monitor that `save` wrote; ValueError, which names the file, where it is none."""
+        try:
+            arrays = read_arrays(Path(path))
+            about = json.loads(str(arrays.pop("monitor")))
+            if about["version"] != VERSION:
+                raise ValueError(f"it is of version {about['version']}, this package reads {VERSION}: learn it again")
+            channels, learnt = unpacked(arrays, about)
+            healthy = tuple((str(n), int(k), str(a), str(b)) for n, k, a, b in about["healthy"])
+            rate, remarks = Rate.of(about["rate"]), tuple(map(str, about["remarks"]))
+            logs = tuple(Log(*(arrays[f"log {k} {what}"] for what in Log._fields)) for k in range(len(healthy)))
+            return cls(channels, float(about["dt"]), rate, float(about["per_row"]), learnt, healthy, logs, remarks)
+        except OSError as error:
+            raise ValueError(f"{path} cannot be read: {error}") from error
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{path} is no monitor ({error}); write one with `monitor --save`, or Monitor.save") from error
+
+
+def _name(source: Any, k: int) -> str:
+    return Path(source).name if isinstance(source, str | Path) else f"healthy log {k}"
+
+
+def _there(piece: Piece) -> Piece:
+    """The rows of a piece that are in its log."""
+    some = piece.rows >= 0
+    return Piece(piece.t[some], piece.v[some], piece.rows[some])
+
+
+def _as_log(pieces: Sequence[Piece], sensors: int) -> Log:
+    values = np.concatenate([p.v for p in pieces])
+    return Log(np.concatenate([p.t for p in pieces]), values[:, :sensors], values[:, sensors:])
+
+
+def _changes(before: Monitor, now: Monitor, later: Sequence[Log], names: Sequence[str]) -> list[str]:
+    """What later healthy logs have changed, in words."""
+    lines = []
+    for name, log in zip(names[len(before.logs) :], later, strict=True):
+        share = float(np.mean(np.concatenate([v.causes.kind for v in before.judge(log)]) != OK))
+        odd = share > 2 * before.learnt.limits.rate[2]
+        lines.append(
+            f"{name}: {share:.2g} of its rows were in alarm, or outside, before" + (": was it healthy?" if odd else "")
+        )
+    was, is_now = before.smallest(), now.smallest()
+    for sensor in now.channels.sensors:
+        a, b = (min(found.get(sensor.name, {}).values(), default=np.inf) for found in (was, is_now))
+        if np.isfinite(b) and abs(np.log(b / a)) > np.log(CHANGED):
+            lines.append(f"{sensor.name}: a lasting bias is found from {with_unit(f'{b:.3g}', sensor.unit)} on, before {a:.3g}")
+    for name, why in now.channels.left_out.items():
+        if name not in before.channels.left_out:
+            lines.append(f"{name} is no longer used: {why}")
+    lines += [f"{name} is used now" for name in before.channels.left_out if name not in now.channels.left_out]
+    return lines
+
+
+def _map(given: LogMap | str | Path | None) -> LogMap:
+    return PLAIN_MAP if given is None else given if isinstance(given, LogMap) else load_map(given)
+
+
+def _remarks(found: Monitor, rows: int, per_row: float, moments: Sequence[tuple[float, int, Clock, str]]) -> list[str]:
+    """What the healthy logs cannot support."""
+    lines = []
+    if per_row < found.per_row:
+        lines.append(
+            f"{rows} healthy rows set limits for {found.per_row:.2g} of the rows in alarm, not {per_row:.2g}: record more"
+        )
+    limits, names = found.learnt.limits, found.channels.names
+    for one, what in ((limits.unlike, "differs from the rest"), (limits.wild, "is much wider than the rest")):
+        worst: dict[tuple[int, int], float] = {}
+        for u in one:
+            worst[u.block, u.sensor] = max(worst.get((u.block, u.sensor), 0.0), u.factor)
+        for (block, sensor), factor in sorted(worst.items(), key=lambda item: -item[1])[:3]:
+            first, last = (int(found.learnt.edges[e]) for e in (block, block + 1))
+            lines.append(
+                f"{names[sensor]} {what} from {_when(moments, first, found.dt)} to {_when(moments, last - 1, found.dt)}, by a "
+                f"factor of {factor:.2g}: was it healthy?"
+            )
+    return lines
+
+
+def _when(moments: Sequence[tuple[float, int, Clock, str]], row: int, dt: float) -> str:
+    for start, count, clock, name in moments:
+        if row < count:
+            return clock.at(start + row * dt) + (f" of {name}" if len({m[3] for m in moments}) > 1 else "")
+        row -= count
+    start, count, clock, _ = moments[-1]
+    return clock.at(start + (count - 1) * dt)
+
+
+def _and(names: Sequence[str]) -> str:
+    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")

@@ -1,0 +1,112 @@
+"""The bank on an identified model as an outlier detector of scikit-learn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.base import BaseEstimator, OutlierMixin
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from fusion_sfdia.detectors.detector import Decision, run
+from fusion_sfdia.learning.identification.choice import Candidate, choose_model
+from fusion_sfdia.learning.identification.healthy_runs import groups_of, runs_of
+from fusion_sfdia.learning.outlier_detectors.calibration import calibrate
+from fusion_sfdia.learning.outlier_detectors.methods import Methods
+from fusion_sfdia.plant.log import Log
+from fusion_sfdia.plant.signals import Signal
+
+Array = NDArray[Any]
+
+NOT_APPLICABLE = {
+    "check_methods_subset_invariance": "rows are samples in time: what is found in one depends on those before it",
+    "check_methods_sample_order_invariance": "rows are samples in time: their order matters",
+}
+
+
+class SensorFaultDetector(OutlierMixin, BaseEstimator):  # type: ignore[misc]
+    """A `LeaveOneOutBank` on a model that is identified from healthy rows; rows are samples in time, at equal steps.
+
+    fit(X): X (K, D) healthy readings and inputs, NaN where missing. predict: 1 for a healthy sample and -1 for one in alarm.
+    score_samples: minus the largest residual over its threshold, or minus 2 at least while a sensor is isolated;
+    decision_function: that plus 1, negative for an alarm. isolated(X) (K, sensors): which sensors. All of these step through
+    X from the initial state of the model: pass a whole run.
+
+    inputs: positions of the columns that are inputs. kind, order: of the model, see `Candidate`; None for the choice by
+    left-out stretches. false_alarm: share of healthy samples in alarm, raised to what the rows can set. folds: stretches that
+    are left out in turn. Fitted: choice_, calibration_, offset_ (-1), n_features_in_; sensors_ (N,): the positions of the
+    columns that are tested, the others being inputs or columns that never move.
+
+    ValueError for fewer than two samples, inputs that are no columns, and data that no model can be identified from.
+    """
+
+    def __init__(
+        self,
+        inputs: Sequence[int] = (),
+        kind: str | None = None,
+        order: int = 1,
+        false_alarm: float = 0.01,
+        folds: int = 4,
+    ) -> None:
+        self.inputs = inputs
+        self.kind = kind
+        self.order = order
+        self.false_alarm = false_alarm
+        self.folds = folds
+
+    def fit(self, X: Any, y: Any = None) -> Self:
+        """Identify the model and set thresholds from healthy rows X (K, D); y is ignored."""
+        X = validate_data(self, X, dtype=float, ensure_min_samples=2, ensure_all_finite="allow-nan")
+        if bad := [i for i in self.inputs if not 0 <= i < X.shape[1]]:
+            raise ValueError(f"inputs has {bad}; expected positions of the {X.shape[1]} columns")
+        columns = [i for i in range(X.shape[1]) if i not in self.inputs]
+        sensors = [Signal(f"x{i}") for i in columns]
+        inputs = [Signal(f"x{i}") for i in self.inputs]
+        log = self._log(X, columns)
+        candidates = None if self.kind is None else [Candidate(self.kind, self.order)]
+        self.choice_ = choose_model("rows", sensors, [log], inputs=inputs, candidates=candidates, folds=self.folds)
+        self.sensors_ = np.array([i for i in columns if f"x{i}" not in self.choice_.still])
+        moving = [Signal(f"x{i}") for i in self.sensors_]
+        groups = groups_of(runs_of(moving, inputs, [self._log(X, self.sensors_)]), self.folds)[1]
+        warm_up = min(20, len(X) // self.folds // 4)
+        rate = max(self.false_alarm, 1.0 / max(len(X) - 2 * warm_up * self.folds, 2))
+        methods = Methods(self.choice_, moving, inputs, rate)
+        self.calibration_ = calibrate(methods.bank, groups, rate, warm_up)
+        self.offset_ = -1.0
+        return self
+
+    def score_samples(self, X: Any) -> Array:
+        """Minus the largest residual over its threshold (K,), -2 at most while a sensor is isolated: more is healthier."""
+        found = self._decisions(X)
+        held = np.any(found.isolated, axis=-1)
+        return -np.asarray(np.where(held, np.maximum(found.score, 2.0), found.score))
+
+    def decision_function(self, X: Any) -> Array:
+        """score_samples less offset_ (K,): negative for a sample in alarm."""
+        return np.asarray(self.score_samples(X) - self.offset_)
+
+    def predict(self, X: Any) -> NDArray[np.int64]:
+        """1 for a healthy sample, -1 for one in alarm (K,)."""
+        return np.where(self.decision_function(X) < 0, -1, 1).astype(np.int64)
+
+    def isolated(self, X: Any) -> NDArray[np.bool_]:
+        """Which sensors, in the order of sensors_, are isolated in each sample (K, N)."""
+        return np.asarray(self._decisions(X).isolated)
+
+    def _decisions(self, X: Any) -> Decision:
+        check_is_fitted(self)
+        X = validate_data(self, X, dtype=float, reset=False, ensure_all_finite="allow-nan")
+        detector = self.calibration_.detector
+        log = self._log(X, self.sensors_)
+        log = log._replace(u=np.where(np.isfinite(log.u), log.u, [s.nominal for s in detector.plant.inputs]))
+        return run(detector, detector.init((), -detector.plant.dt), log)[1]
+
+    def _log(self, X: Array, columns: Any) -> Log:
+        return Log(np.arange(len(X), dtype=float), X[:, columns], X[:, list(self.inputs)])
+
+    def __sklearn_tags__(self) -> Any:
+        tags = super().__sklearn_tags__()
+        tags.input_tags.allow_nan = True
+        return tags

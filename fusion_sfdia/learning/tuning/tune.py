@@ -1,0 +1,239 @@
+"""From healthy readings to a tuned plant and detector, with thresholds for a stated rate of false alarms.
+
+The log is cut in two halves. What was learnt from one predicts the other, and the scores on these predictions set the
+thresholds, so that no threshold is set on readings from which the model was learnt. The plant of the file is then learnt from
+the whole log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia import __version__
+from fusion_sfdia.common.clock import Clock
+from fusion_sfdia.common.errors import NotApplicableError
+from fusion_sfdia.common.rate import Rate, lasting
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.detectors.silent import require_scale, silent, silent_scores
+from fusion_sfdia.learning.commissioning.commission import Commissioning, as_runs, commissioned
+from fusion_sfdia.learning.commissioning.parameters import moved
+from fusion_sfdia.learning.commissioning.refusals import require_moving
+from fusion_sfdia.learning.tuning.delays import Delays, delays
+from fusion_sfdia.learning.tuning.doubts import remarks
+from fusion_sfdia.learning.tuning.drift import require_no_drift
+from fusion_sfdia.learning.tuning.equal_runs import as_even_runs
+from fusion_sfdia.learning.tuning.frozen import tuned_frozen
+from fusion_sfdia.learning.tuning.stationary import require_stationary
+from fusion_sfdia.learning.tuning.tail import Count, Threshold, counted, shortest, threshold, threshold_figures
+from fusion_sfdia.learning.tuning.tuned import (
+    Tuned,
+    acting_plant,
+    learnt_plant,
+    learnt_tables,
+    plant_table,
+    scaled,
+    settings_digest,
+)
+from fusion_sfdia.plant.log import Log
+from fusion_sfdia.plant.plant import Plant
+
+Array = NDArray[Any]
+
+LEARNT_ON = 40  # samples above its limits from which a detector that learns sets them itself, before they are scaled
+
+
+class Source(NamedTuple):
+    """Where healthy readings come from: a file, and the clock of its times."""
+
+    name: str
+    clock: Clock = Clock()
+
+
+def tune(
+    plant: Plant | str,
+    *healthy: Any,
+    false_alarm: str | float | Rate = "1/day",
+    detector: str = registry.COMMISSIONED,
+    strict: bool = False,
+    sources: Sequence[Source] = (),
+    made: str = "",
+) -> Tuned:
+    """Tune a plant and a detector on healthy readings of the real plant.
+
+    healthy: logs, each as `as_log` takes it in one argument, of one run or several. false_alarm: samples in alarm, such as
+    "1/day" or 1e-3 (per sample), see `Rate`. detector: a registered name, or a reference such as "mine.py:MyDetector". One that
+    commissions the plant by itself, "frozen-model", leaves readings that are not healthy out, and lists them (`quality`),
+    unless strict: then they raise ValueError, as for all others.
+    sources: where each log comes from, made: the date, both for the file alone.
+    ValueError, with the reason, for readings that cannot carry it: too short for the plant or the rate, a fault among them, not
+    stationary; NotApplicableError where the detector does not apply to the plant.
+    """
+    plant, rate, entry = registry.plant(plant), Rate.of(false_alarm), registry.find_detector(detector)
+    logs = [_runs(as_runs(plant, (one,))) for one in healthy]
+    origin = list(sources) or [Source(f"readings {i + 1}") for i in range(len(logs))]
+    each, moments = [run for runs in logs for run in runs], _moments(logs, origin)
+    if entry.commissions:
+        log, times, of = as_even_runs(plant, each)
+        frozen = tuned_frozen(plant, log, partial(_at, times, of, moments), rate, strict)
+        per_sample = frozen.detector.fitted_rate
+        used = {"name": entry.name, "threshold_scale": frozen.detector.threshold_scale, "false_alarm": str(rate)}
+        document = {"plant": plant_table(plant), "detector": used | {"per_sample": per_sample}, **frozen.tables}
+        return Tuned(document | _provenance(origin, logs, made) | {"quality": frozen.quality}, frozen.detector, entry)
+    for run, moment in zip(each, moments, strict=True):
+        require_moving(plant, as_runs(plant, (run,)), partial(_at, run.t[:, None], (0,), [moment]))
+    log, times, of = as_even_runs(plant, each)
+    at = partial(_at, times, of, moments)
+    dt = float(np.median(np.diff(log.t)))
+    per_sample = rate.per_sample(dt)
+    _require_enough(log, 0, rate, dt)
+    found = commissioned(plant, log, false_alarm=None, at=at)
+    _require_enough(log, found.settle, rate, dt)
+    at_the_mean = plant if found.parameters is None else moved(plant, found.parameters)
+    sigma = np.minimum(plant.sensor_sigma, found.plant.sensor_sigma)
+    require_no_drift(at_the_mean, log, found.settle, sigma, at)
+    first, second = (fit.single[found.settle :] for fit in found.fits)
+    settled, middle = partial(_at, times[found.settle :], of, moments), found.middle - found.settle
+    require_stationary(found.plant, (first, second), log.u[found.settle :], middle, settled)
+
+    build = partial(_build, entry, per_sample, (len(log.t) - found.settle) // 2 * log.y.shape[1])
+    parts = _held_out_scores(found, log, build)
+    limit = threshold(parts, per_sample)
+    if not 0 < limit.scale < np.inf:
+        raise NotApplicableError(
+            f"the score of {entry.name} on healthy readings is {limit.scale:g} where it should alarm: no threshold "
+            "has that rate"
+        )
+    scale = limit.scale  # extrapolated, below the detector's own thresholds only as far as the log surely shows
+    if not limit.counted:
+        scale = max(scale, min(limit.high, 1.0))
+    across = [threshold([part], per_sample).scale for part in parts[::-1]]
+
+    tables = {"plant": plant_table(plant)} | learnt_tables(plant, found)
+    final = build(acting_plant(learnt_plant(tables, plant), entry), _cut(log, found.settle, len(log.t)))
+    digest = {} if entry.learns else {"digest": settings_digest(final)}
+    final = scaled(final, scale, per_sample)
+    late = delays(final, log, found.settle)
+    for i, row in enumerate(tables["sensors"].values()):
+        row |= {f"delay_{size:g}": float(late.delay[s, i]) for s, size in enumerate(late.sizes)}
+    used = {"name": entry.name, "threshold_scale": scale, "false_alarm": str(rate), "per_sample": per_sample} | digest
+    quality = _quality(found, log, limit, counted(parts, across), late, rate, dt)
+    document = {"plant": tables["plant"], "detector": used, **{k: v for k, v in tables.items() if k != "plant"}}
+    return Tuned(document | _provenance(origin, logs, made) | {"quality": quality}, final if entry.learns else None, entry)
+
+
+def _provenance(origin: Sequence[Source], logs: Sequence[Sequence[Log]], made: str) -> dict[str, Any]:
+    """From which logs, by which version, and when."""
+    healthy = [
+        {
+            "file": s.name,
+            "rows": sum(len(r.t) for r in runs),
+            "from": s.clock.at(float(runs[0].t[0])),
+            "to": s.clock.at(float(runs[0].t[-1])),
+        }
+        for s, runs in zip(origin, logs, strict=True)
+    ]
+    return {"healthy": healthy, "made": {"version": __version__, "date": made}}
+
+
+def _runs(log: Log) -> list[Log]:
+    """Each run of a log by itself: y (K, N), u (K, m)."""
+    return [Log(log.t, log.y[:, i], log.u[:, i]) for i in range(log.y.shape[1])]
+
+
+def _moments(logs: Sequence[Sequence[Log]], sources: Sequence[Source]) -> list[Callable[[float], str]]:
+    """For each run what puts a time (s) in words: on its clock, with the run and the log where there are several."""
+    found: list[Callable[[float], str]] = []
+    for source, runs in zip(sources, logs, strict=True):
+        for i in range(len(runs)):
+            which = f" of run {i}" * (len(runs) > 1) + f" of {source.name}" * (len(logs) > 1)
+            found.append(partial(_moment, source.clock, which))
+    return found
+
+
+def _moment(clock: Clock, which: str, t: float) -> str:
+    return clock.at(t) + which
+
+
+def _at(times: Array, of: Sequence[int], moments: Sequence[Callable[[float], str]], k: int, b: int) -> str:
+    """The time of sample k of run b in words; times (K, B), of: which of the moments each run has."""
+    return moments[of[b]](float(times[k, b]))
+
+
+def _cut(log: Log, start: int, end: int) -> Log:
+    return Log(*(a[start:end] for a in log))
+
+
+def _require_enough(log: Log, settle: int, rate: Rate, dt: float) -> None:
+    """Raise ValueError where there are too few samples after settling for the rate."""
+    steps, runs = log.y.shape[:2]
+    least, left = shortest(rate.per_sample(dt)), runs * max(steps - settle, 0)
+    if left < least:
+        raise ValueError(
+            f"the healthy log is too short for {rate} (one sample in {rate.samples(dt):.4g}): {left} samples "
+            f"({lasting(left * dt)}) after the filter has settled, expected at least {least} ({lasting(least * dt)}); the "
+            f"shortest log is {least // runs + settle} samples long, {lasting((least // runs + settle) * dt)}"
+            f"{f', in {runs} runs' if runs > 1 else ''}: give a longer one, or a higher rate"
+        )
+
+
+def _build(entry: registry.NamedDetector, rate: float, samples: int, plant: Plant, healthy: Log) -> Any:
+    """The detector with usual settings; one that learns has learnt from these readings."""
+    if not entry.learns:
+        built: Any = registry.detector(entry, plant)
+    else:
+        built = entry.build(plant, healthy=healthy, false_alarm=min(max(rate, LEARNT_ON / samples), 0.2))
+        if built.plant is not plant:
+            raise NotApplicableError(
+                f"detector {entry.name} builds its own version of plant {plant.name!r}, which a tuned file cannot hold; choose "
+                "another detector"
+            )
+    require_scale(entry.name, built)
+    return built
+
+
+def _held_out_scores(found: Commissioning, log: Log, build: Any) -> list[Array]:
+    """The scores (K, B) of the first and of the second half, by a detector that has learnt from the other."""
+    ends = [(found.settle, found.middle), (found.middle, len(log.t))]
+    parts = []
+    for own, learnt, plant in zip(ends, ends[::-1], found.halves[::-1], strict=True):
+        detector = build(acting_plant(plant, build.args[0]), _cut(log, *learnt))
+        state, scores = silent_scores(silent(detector), *_cut(log, 0, own[1]))
+        if np.any(state.diverged):
+            raise ValueError(
+                f"the estimate of {build.args[0].name} diverges on the healthy log; check inputs, units and parameters of the "
+                "plant"
+            )
+        parts.append(np.nan_to_num(scores[own[0] :]))
+    return parts
+
+
+def _quality(
+    found: Commissioning, log: Log, limit: Threshold, count: Count, late: Delays, rate: Rate, dt: float
+) -> dict[str, Any]:
+    """Figures of quality by name, as plain numbers."""
+    steps, runs = log.y.shape[:2]
+    figures: dict[str, Any] = {
+        "samples": runs * (steps - found.settle),
+        "runs": runs,
+        "settle": found.settle,
+        "learnt": list(found.kept),
+        "nis_before": found.before.nis,
+        "nis": found.after.nis,
+        "coloured_before": found.before.coloured,
+        "coloured": found.after.coloured,
+        **threshold_figures(limit, count, rate, dt),
+        "delays": f"simulated: biases added to these readings, {late.onsets} onsets a sensor, within {late.within:g} s",
+    }
+    for s, size in enumerate(late.sizes):
+        figures[f"delay_{size:g}"] = {
+            "median": float(np.median(late.delay[s])),
+            "worst": float(np.max(late.delay[s])),
+            "found": float(np.mean(late.found[s])),
+        }
+    figures["remarks"] = remarks(found, figures, limit, rate)
+    return figures

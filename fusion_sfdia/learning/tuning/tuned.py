@@ -1,0 +1,348 @@
+"""What tuning has found, as a readable file, and the plant and the detector that follow from it."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.common.arguments import number, shown
+from fusion_sfdia.common.files import all_or_none
+from fusion_sfdia.common.rate import Rate
+from fusion_sfdia.common.references import name_of
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.detectors.batch_detector import BatchDetector
+from fusion_sfdia.detectors.detector import Detector
+from fusion_sfdia.detectors.saved_detectors import load_detector, save_detector, settings_classes
+from fusion_sfdia.learning.commissioning.commission import Commissioning
+from fusion_sfdia.learning.commissioning.disturbances import Found, moves, with_disturbance
+from fusion_sfdia.learning.commissioning.noise_likelihood import Noise, state_groups, with_noise
+from fusion_sfdia.learning.commissioning.parameters import Estimate, declared, free, moved
+from fusion_sfdia.learning.commissioning.start import Start, with_start
+from fusion_sfdia.learning.tuning.response import response, warn_of_change
+from fusion_sfdia.learning.tuning.tuned_file import read_document, write_document
+from fusion_sfdia.plant.augment import fixed
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.signals import Sensor
+from fusion_sfdia.plant.slow_noise import SlowNoise
+from fusion_sfdia.plant.uncertainty import error_of
+
+Array = NDArray[Any]
+
+COMMENTS = {
+    "": "A plant and a detector tuned on healthy readings by `fusion-sfdia tune`; for `diagnose --tuned`.\n"
+    "SI units, standard deviations, seconds. Thresholds hold for these values: tune again rather than edit.",
+    "plant": "For this plant only: the digest is of the names and units of its states, inputs, sensors and parameters.\n"
+    "response: two numbers by which a change of its equations is noticed.",
+    "detector": "name: of the detectors of this package; any other is given with --detector, as this file imports no code.\n"
+    "threshold_scale is a factor on all thresholds, which healthy readings exceed at the stated rate.",
+    "sensors": "Noise of each sensor, and what the plant states; resolution: the step of its readings;\n"
+    "slow_share: of its variance, with slow_time_constant (s); delay of a bias of so many sigma (s, see quality).",
+    "process_noise": "Factor on the standard deviation that the plant states, of all states of a unit.",
+    "parameters": "Estimates with standard deviation, and what the plant states.",
+    "commissioned": "Values at which the model is frozen, and what the plant states.",
+    "disturbance": "A direction of mismatch (state: units of the states; reading: of the sensors): its mean is an offset.\n"
+    "moves: what it moves most, in words.",
+    "start": "Where runs begin: a state, and the variance of first states about it.",
+    "quality": "How well this holds, on halves of the log from which it was not learnt.",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Tuned:
+    """A tuned plant and detector: document holds the tables of the file, fitted the detector where it learns from data.
+
+    fitted: the detector, or the file that `save_detector` wrote; None where class, plant and scale suffice. build: what `tune`
+    has built the detector with; None of one that was read, as a file names a detector but imports no code.
+    """
+
+    document: dict[str, Any]
+    fitted: Any = None
+    build: registry.NamedDetector | None = None
+
+    @property
+    def rate(self) -> Rate:
+        """The stated rate of false alarms."""
+        return Rate.of(str(self.document["detector"]["false_alarm"]))
+
+    @property
+    def threshold_scale(self) -> float:
+        """Factor on the thresholds of the detector as it is registered."""
+        return number("threshold_scale", self.document["detector"]["threshold_scale"])
+
+    @property
+    def detector_name(self) -> str:
+        """The detector for which the thresholds hold: a registered name, or how another one was named when it was tuned."""
+        return str(self.document["detector"]["name"])
+
+    @property
+    def quality(self) -> dict[str, Any]:
+        """Figures of quality."""
+        return dict(self.document["quality"])
+
+    def plant(self, plant: Plant) -> Plant:
+        """The plant with what was learnt; ValueError where the file is of another plant, a warning where its model changed."""
+        require_same_plant(self.document, plant)
+        warn_of_change(self.document["plant"], plant)
+        return learnt_plant(self.document, plant)
+
+    def detector(self, plant: Plant, detector: str | Callable[[Plant], Detector] | registry.NamedDetector | None = None) -> Any:
+        """The tuned detector on the plant as `plant` gives it, from the plant as its maker gives it; ValueError as there.
+
+        detector: the one that was tuned, given as in `registry.find_detector`; needed where it is none of this package.
+        ValueError where it is another than the one that was tuned, or has other settings now.
+        """
+        entry = self.entry(detector)
+        acting = acting_plant(self.plant(plant), entry)
+        if isinstance(self.fitted, Path):
+            return load_detector(self.fitted, acting, classes_beside(entry))
+        if self.fitted is not None:
+            return self.fitted
+        built: Any = registry.detector(entry, acting)
+        if (expected := self.document["detector"].get("digest")) not in (None, settings_digest(built)):
+            raise ValueError(
+                f"it was tuned for {self.detector_name} with the digest {shown(expected)}, {entry.name} is now a "
+                f"{type(built).__name__} with other settings, of the digest {settings_digest(built)!r}; tune again with it"
+            )
+        return scaled(built, self.threshold_scale, number("per_sample", self.document["detector"]["per_sample"]))
+
+    def entry(self, given: str | Callable[[Plant], Detector] | registry.NamedDetector | None = None) -> registry.NamedDetector:
+        """The detector to build: the given one, or else that of the file's name where it is one of this package.
+
+        ValueError where the given one is another, and where none is given and the file's is none of this package.
+        """
+        name = self.detector_name
+        if given is None:
+            known = self.build or registry.registered_detector(name)
+            if known is None:
+                raise ValueError(
+                    f"it was tuned for the detector {shown(name)}, which is none of this package, and a settings file imports "
+                    "no code: state where that detector is, with --detector (in Python as the argument detector)"
+                )
+            return known
+        label = given.name if isinstance(given, registry.NamedDetector) else name_of(given)
+        names = {
+            (registry.registered_detector(n) and n) or n.rpartition(":")[2] for n in (name, label)
+        }  # the file may have moved
+        if len(names) > 1:
+            raise ValueError(f"it was tuned for {name}, not {label}; leave --detector out, or tune again with it")
+        return registry.find_detector(given)
+
+    def write(self, path: str | Path) -> None:
+        """Write the file, and beside it (.npz) a detector that learns from data."""
+        path = Path(path)
+        if self.fitted is None:
+            write_document(path, self.document, COMMENTS)
+            return
+        beside = path.with_suffix(".npz").name
+        document = self.document | {"detector": self.document["detector"] | {"fitted": beside}}
+        with all_or_none(path.parent) as new:
+            if isinstance(self.fitted, Path):
+                (new / beside).write_bytes(self.fitted.read_bytes())
+            else:
+                save_detector(new / beside, self.fitted)
+            write_document(new / path.name, document, COMMENTS)
+
+    @classmethod
+    def read(cls, path: str | Path) -> Tuned:
+        """Read a file; ValueError, which names it, where it is none."""
+        path = Path(path)
+        document = read_document(path)
+        for table, keys in NEEDED.items():
+            if not isinstance(found := document.get(table), dict) or (lacking := [k for k in keys if k not in found]):
+                what = f"[{table}]" if not isinstance(found, dict) else f"{lacking[0]} in [{table}]"
+                raise ValueError(f"{path} has no {what}; expected a file that `fusion-sfdia tune` wrote")
+        for table, form in FORMS.items():
+            found = document.get(table, form())
+            rows = list(found.values()) if isinstance(found, dict) else found
+            if not isinstance(found, form) or not all(isinstance(row, dict) for row in rows):
+                raise ValueError(f"{path}: [{table}] is not as `fusion-sfdia tune` writes it; restore the file, or tune again")
+        beside = document["detector"].get("fitted")
+        if beside is not None and not (isinstance(beside, str) and re.fullmatch(r"[^/\\:]+\.npz", beside)):
+            raise ValueError(f"{path}: fitted is {shown(beside)}; expected the name of an .npz file in the same folder")
+        tuned = cls(document, None if beside is None else path.parent / str(beside))
+        try:
+            if not 0 < tuned.threshold_scale < np.inf:
+                raise ValueError(f"threshold_scale is {tuned.threshold_scale}; expected a positive number")
+            tuned.rate.per_sample(number("dt", document["plant"]["dt"]))
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+        return tuned
+
+
+NEEDED = {
+    "plant": ("name", "dt", "digest"),
+    "detector": ("name", "threshold_scale", "false_alarm", "per_sample"),
+    "sensors": (),
+    "quality": (),
+}
+FORMS: dict[str, Any] = {"sensors": dict, "parameters": dict, "disturbance": list}  # tables of tables
+LARGEST = 1e100  # of what is squared
+
+
+def scaled(detector: Any, scale: float, rate: float) -> Any:
+    """The detector with its thresholds times a scale that was fitted for that rate per sample."""
+    fitted = {"fitted_rate": rate} if isinstance(detector, BatchDetector) else {}
+    return replace(detector, threshold_scale=scale * detector.threshold_scale, **fitted)
+
+
+def settings_digest(detector: Any) -> str:
+    """A digest of the class of a detector and of its settings, numbers to 6 digits, arrays by their shape alone: what follows
+    from the plant may differ in its last bits between machines.
+    """
+    return hashlib.sha256(_described(detector).encode()).hexdigest()[:16]
+
+
+def _described(value: Any) -> str:
+    if is_dataclass(value) and not isinstance(value, type | Plant):
+        settings = (f"{f.name}={_described(getattr(value, f.name))}" for f in fields(value) if f.init)
+        return f"{type(value).__qualname__}({', '.join(settings)})"
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype}{value.shape}"
+    if isinstance(value, tuple | list):
+        return f"({', '.join(map(_described, value))})"
+    if isinstance(value, float | np.floating):
+        return f"{float(value):.6g}"
+    if value is None or isinstance(value, bool | int | str):
+        return repr(value)
+    return type(value).__qualname__
+
+
+def classes_beside(entry: registry.NamedDetector) -> list[type]:
+    """The classes of the module that builds a detector, which a saved detector of it may have among its settings."""
+    module = getattr(entry.build, "__module__", None) or entry.source.partition(":")[0]
+    return settings_classes(sys.modules[module]) if module in sys.modules else []
+
+
+def acting_plant(plant: Plant, entry: registry.NamedDetector) -> Plant:
+    """The plant on which a detector acts: one that runs a filter on it estimates learnt disturbances along.
+
+    A detector that tests the process does so by itself.
+    """
+    if entry.tests_process or entry.learns or not plant.uncertainty.disturbances:
+        return plant
+    return fixed(plant) if hasattr(registry.detector(entry, plant), "estimator") else plant
+
+
+def plant_table(plant: Plant) -> dict[str, Any]:
+    """Name, step, sizes and digest of the names and units of a plant."""
+    known = plant.uncertainty
+    named: list[Any] = [*plant.states, *plant.inputs, *plant.sensors, *known.parameters]
+    text = "\n".join([plant.name, repr(plant.dt), *(f"{v.name} [{v.unit}]" for v in named), *sorted(known.inputs)])
+    return {
+        "name": plant.name,
+        "dt": plant.dt,
+        "states": len(plant.states),
+        "inputs": [s.name for s in plant.inputs],
+        "digest": hashlib.sha256(text.encode()).hexdigest()[:16],
+        "response": response(plant),
+    }
+
+
+def require_same_plant(document: dict[str, Any], plant: Plant) -> None:
+    """Raise ValueError, with what differs, where a file was tuned for another plant."""
+    own, found = plant_table(plant), document["plant"]
+    reasons = [
+        f"{what} {shown(found.get(what))}, this one {shown(own[what])}"
+        for what in ("name", "dt", "states", "inputs")
+        if found.get(what) != own[what]
+    ]
+    if tuple(document["sensors"]) != plant.sensor_names:
+        others = [*(set(document["sensors"]) ^ set(plant.sensor_names))] or ["their order"]
+        reasons.append(
+            f"{len(document['sensors'])} sensors, this one {len(plant.sensors)}, other are {', '.join(sorted(others)[:4])}"
+        )
+    if not reasons and found["digest"] != own["digest"]:
+        reasons.append("other names or units of states, sensors or parameters")
+    for sensor in plant.sensors:
+        if not reasons and document["sensors"][sensor.name].get("stated") != sensor.noise_sigma:
+            stated = shown(document["sensors"][sensor.name].get("stated"))
+            reasons.append(f"sensor {sensor.name!r} with a stated sigma of {stated}, this one {sensor.noise_sigma!r}")
+    if reasons:
+        raise ValueError(
+            f"it was tuned for another plant than {plant.name!r}: that one has {'; '.join(reasons)}; tune again on healthy "
+            "readings of this plant"
+        )
+
+
+def learnt_tables(plant: Plant, found: Commissioning) -> dict[str, Any]:
+    """The tables of what was learnt, from the plant before."""
+    tables: dict[str, Any] = {}
+    tables["sensors"] = {
+        s.name: {"sigma": float(sigma), "stated": s.noise_sigma, "unit": s.unit}
+        | ({"resolution": now.resolution} if now.resolution != s.resolution else {})
+        | ({} if (slow := now.noise) is None else {"slow_share": slow.share, "slow_time_constant": slow.time_constant})
+        for s, now, sigma in zip(plant.sensors, found.plant.sensors, found.plant.sensor_sigma, strict=True)
+    }
+    if found.noise is not None:
+        tables["process_noise"] = {
+            unit: float(np.sqrt(f)) for unit, f in zip(found.noise.groups, found.noise.process, strict=True)
+        }
+    if (known := found.parameters) is not None:
+        rows = zip(known.names, known.value, known.sd, known.prior, known.prior_sd, strict=True)
+        units = {p.name: p.unit for p in plant.uncertainty.parameters} | {error_of(s.name): s.unit for s in plant.inputs}
+        tables["parameters"] = {
+            name: {"value": float(v), "sd": float(sd), "stated": float(p), "stated_sd": float(psd), "unit": units[name]}
+            for name, v, sd, p, psd in rows
+        }
+    if found.disturbances:
+        tables["disturbance"] = [
+            {
+                "moves": moves(plant, d),
+                "mean": d.mean,
+                "sd": d.sd,
+                "time_constant": d.time_constant,
+                "state": d.state.tolist(),
+                "reading": d.reading.tolist(),
+            }
+            for d in found.disturbances
+        ]
+    if found.start is not None:
+        tables["start"] = {"x0": found.start.x0.tolist(), "variance": found.start.spread.tolist()}
+    return tables
+
+
+def learnt_plant(document: dict[str, Any], plant: Plant) -> Plant:
+    """The plant with what the tables of a document hold; ValueError for values that do not fit it."""
+    try:
+        if rows := document.get("parameters"):
+            names = tuple(declared(plant)[0][i] for i in free(plant))
+            values, sds = (np.array([number(f"{what} of {n}", rows[n][what]) for n in names]) for what in ("value", "sd"))
+            plant = moved(plant, Estimate(names, values, sds, values, sds, np.empty((0, 0)), sds))
+        for d in document.get("disturbance", []):
+            none = np.empty((0, 0))
+            state, reading = (np.array(d[what], dtype=float) for what in ("state", "reading"))
+            mean, sd, lasting = (number(f"{what} of a disturbance", d[what]) for what in ("mean", "sd", "time_constant"))
+            plant = with_disturbance(plant, Found(state, reading, none, none, mean, sd, lasting, 1.0))
+        groups, table = state_groups(plant), document.get("process_noise", {})
+        process = np.array([_positive(f"process noise in {unit}", table.get(unit, 1.0)) for unit in groups]) ** 2
+        sigma = np.array([_positive(f"sigma of {n}", document["sensors"][n]["sigma"]) for n in plant.sensor_names])
+        plant = replace(plant, sensors=tuple(_as_learnt(s, document["sensors"][s.name]) for s in plant.sensors))
+        plant = with_noise(plant, Noise(groups, process, process, (sigma / plant.sensor_sigma) ** 2, sigma))
+        if start := document.get("start"):
+            plant = with_start(plant, Start(*(np.array(start[what], dtype=float) for what in ("x0", "variance"))))
+    except KeyError as error:
+        raise ValueError(f"the tuned values have no {error}; tune again, or restore the file") from error
+    return plant
+
+
+def _as_learnt(sensor: Sensor, row: dict[str, Any]) -> Sensor:
+    """A sensor with the resolution and the slow noise in its row."""
+    slow, given = None, [row.get(key) for key in ("slow_share", "slow_time_constant")]
+    if given != [None, None]:
+        slow = SlowNoise(*(number(what, v) for what, v in zip(("slow_share", "slow_time_constant"), given, strict=True)))
+    return replace(sensor, resolution=row.get("resolution", sensor.resolution), noise=slow)
+
+
+def _positive(what: str, value: Any) -> float:
+    """A deviation or a factor on one; ValueError unless it is positive and can be squared."""
+    if not 0 < (found := number(what, value)) < LARGEST:
+        raise ValueError(f"{what} is {found}; expected a positive number, as `fusion-sfdia tune` writes it")
+    return found

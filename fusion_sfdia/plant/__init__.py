@@ -1,0 +1,1 @@
+"""Plants: signals, physics, what is uncertain, discretisation, recorded readings."""

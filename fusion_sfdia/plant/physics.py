@@ -1,0 +1,39 @@
+"""Continuous-time physics, an ODE or a DAE of index 1; `discretise` makes a plant of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+from fusion_sfdia.common.arguments import require_unique
+from fusion_sfdia.plant.signals import Signal
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Continuous-time physics: dx/dt = f(t, x, z, u, c) and, for a DAE of index 1, z = phi(t, x, z, u, c).
+
+    states, inputs, algebraic: the signals of x (..., n), u (..., m) and z (..., k).
+    f, phi: functions of batches, analytic in x, z and u so that Jacobians come from the complex step.
+    parameters: c, usually a NamedTuple of floats.
+    Raises ValueError for names that are not unique and for algebraic variables without phi or phi without them.
+    """
+
+    name: str
+    states: tuple[Signal, ...]
+    f: Callable[[float, Array, Array, Array, Any], Array]
+    inputs: tuple[Signal, ...] = ()
+    algebraic: tuple[Signal, ...] = ()
+    phi: Callable[[float, Array, Array, Array, Any], Array] | None = None
+    parameters: Any = None
+
+    def __post_init__(self) -> None:
+        names = [s.name for s in (*self.states, *self.inputs, *self.algebraic)]
+        require_unique(f"physics {self.name!r}", names)
+        if bool(self.algebraic) != (self.phi is not None):
+            raise ValueError(f"physics {self.name!r}: algebraic variables and phi go together; give both or neither")

@@ -1,0 +1,121 @@
+"""What a comparison tries on one plant beside generic sensor faults, as data that stands beside the plant.
+
+A plant's folder has a module `comparison` whose CASES is a `ComparisonCases`; a plant in a single file has CASES in that file.
+A plant without them is compared without them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+from numpy.typing import NDArray
+
+from fusion_sfdia.diagnosis.faults import Fault
+from fusion_sfdia.plant.plant import Finer, Plant
+from fusion_sfdia.report.results import Published
+
+Array = NDArray[Any]
+
+USUAL_SETTLE = 100  # samples
+
+
+class MismatchCase(NamedTuple):
+    """Healthy readings that the detectors' model does not predict: of another plant, or in another operation.
+
+    why: what happens to real plants, and why by so much. truth(): the plant that makes the readings, in its operation; None
+    for the usual one. inputs(t, start): the inputs (m,) that act from t (s) on, if readings are judged from `start` (s) on;
+    None for the usual ones. log(): the plant that made a healthy log, where it is not that of the readings. unseen: no setting
+    of any detector was chosen with this case in view; the comparison leaves it to the scenario `robustness`.
+    """
+
+    name: str
+    why: str
+    truth: Callable[[], Plant] | None = None
+    inputs: Callable[[float, float], Array] | None = None
+    log: Callable[[], Plant] | None = None
+    unseen: bool = False
+
+
+class ProcessFaultCase(NamedTuple):
+    """A fault of the process, not of a sensor.
+
+    truth(onset): the plant that fails at `onset` (s), in its operation. lost: instead of it, factors (m,) by which the acting
+    inputs differ from the known ones from the onset on. named: what a right verdict may name, parameters, inputs or states of
+    the plant; several where they are physically the same.
+    """
+
+    name: str
+    why: str
+    truth: Callable[[float], Plant] | None = None
+    lost: tuple[float, ...] | None = None
+    named: tuple[str, ...] = ()
+
+
+class PaperFault(NamedTuple):
+    """A sensor fault of a paper: make(plant, sensor, seed, onset, length in s); sensor: the one it is of, None for any."""
+
+    name: str
+    about: str
+    make: Callable[[Plant, str, int, float, float], Fault]
+    sensor: str | None = None
+
+
+class PublishedDelay(NamedTuple):
+    """A detection delay as a paper takes it.
+
+    until: the alarm that ends it: "first" of any residual, "own" of a residual of the faulty sensor, or "confirmed", the third
+    in a row. quantity and condition: the names of its row in metrics.csv. value: the delay in s.
+    """
+
+    until: str
+    quantity: str
+    condition: str
+    value: Published
+
+
+def _none_published(*names: str) -> None:
+    """Nothing is published of anything."""
+
+
+@dataclass(frozen=True)
+class ComparisonCases:
+    """The cases of one plant; without arguments none.
+
+    operation(t): the inputs (m,) that act from t (s) on in the comparison; None for the plant's own operation.
+    other_operation(t, start): those of an operation that no healthy log of the usual one shows, see MismatchCase.inputs.
+    published_accuracy(detector, fault, quantity): share of the faults of a quantity that are judged right.
+    published_delay(detector, fault): delay of the detection. Both are None where no paper states them. settle: samples that a
+    filter needs to forget how it began, until its rate of false alarms is steady.
+    """
+
+    operation: Callable[[float], Array] | None = None
+    mismatch: tuple[MismatchCase, ...] = ()
+    process_faults: tuple[ProcessFaultCase, ...] = ()
+    paper_faults: tuple[PaperFault, ...] = ()
+    published_accuracy: Callable[[str, str, str], Published | None] = _none_published
+    published_delay: Callable[[str, str], PublishedDelay | None] = _none_published
+    settle: int = USUAL_SETTLE
+    other_operation: Callable[[float, float], Array] | None = None
+
+    def __post_init__(self) -> None:
+        names = [c.name for c in self.mismatch] + [c.name for c in self.process_faults] + [c.name for c in self.paper_faults]
+        if twice := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
+            raise ValueError(f"cases of a plant named {', '.join(twice)} stand twice; expected each name once")
+        if self.settle < 1:
+            raise ValueError(f"settle is {self.settle}; expected at least 1 sample")
+
+
+def in_operation(plant: Plant, operation: Callable[[float], Array] | None) -> Plant:
+    """The plant, and its high-fidelity model, in another operation; None for its own."""
+    if operation is None:
+        return plant
+    finer = plant.truth.finer and partial(_finer_in_operation, plant.truth.finer, operation)
+    return replace(plant, truth=replace(plant.truth, operation=operation, finer=finer))
+
+
+def _finer_in_operation(finer: Finer, operation: Callable[[float], Array]) -> tuple[Plant, Callable[[Array], Array]]:
+    plant, to_states = finer()
+    return replace(plant, truth=replace(plant.truth, operation=operation)), to_states

@@ -1,0 +1,241 @@
+"""What a comparison shows, in sentences filled from its numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from fusion_sfdia.report.sentences import span
+from fusion_sfdia.study.comparison.cell import ComparisonCell
+from fusion_sfdia.study.comparison.figures import Cells, of_plant
+from fusion_sfdia.study.comparison.metric_rows import (
+    detected_share,
+    under_mismatch,
+    under_process_faults,
+)
+from fusion_sfdia.study.comparison.protocol import length_name, sizes, stated_error
+from fusion_sfdia.study.comparison.ranking import Standing
+from fusion_sfdia.study.comparison.recordings import stated_distance
+from fusion_sfdia.study.comparison.result_tables import EVERY, Standings
+from fusion_sfdia.study.experiments.scenario import Settings
+
+MOST_LEADERS = 3  # whose ranks by plant stand at the top
+MOST_LISTED = 9  # detectors by name in a sentence
+RARELY = 0.01  # of samples: what is less is not reported
+
+
+def findings(settings: Settings, cells: Cells, standings: Standings) -> list[str]:
+    """What is found over all plants."""
+    found = [leaders(settings, EVERY, list(cells.values()), standings[EVERY])] if EVERY in standings else []
+    found += by_plant(standings)
+    found += shortest(settings, cells)
+    return [*found, *broken_claims(list(cells.values()))]
+
+
+def by_plant(standings: Standings) -> list[str]:
+    """The rank on each plant of the detectors that are first over all plants, where these are few."""
+    found = []
+    for criterion, pooled in standings.get(EVERY, {}).items():
+        best = [d for d, s in pooled.items() if s.rank == min(other.rank for other in pooled.values())]
+        if len(best) > MOST_LEADERS or not any(s.mean.n for s in pooled.values()):
+            continue
+        ranks = {plant: criteria[criterion] for plant, criteria in standings.items() if plant != EVERY}
+        of_each = [
+            f"{name} is {', '.join(f'{place(of, name)} on {plant}' for plant, of in ranks.items() if name in of)}"
+            for name in best
+        ]
+        found.append(f"First in {criterion} over all plants, and by plant: {'; '.join(of_each)}.")
+    return found
+
+
+def place(standings: Mapping[str, Standing], name: str) -> str:
+    """A rank in words, and how many share it."""
+    rank = standings[name].rank
+    shared = sum(s.rank == rank for s in standings.values())
+    return f"rank {rank}{f' with {shared - 1} more' if shared > 1 else ''}"
+
+
+def shortest(settings: Settings, cells: Cells) -> list[str]:
+    """The detectors with the largest areas under the ROC for the shortest and the longest of the small biases."""
+    if len(settings["lengths"]) < 2 or "bias" not in settings["faults"]:
+        return []
+    small, _ = sizes(settings)
+    short, long = (length_name(small, n) for n in (min(settings["lengths"]), max(settings["lengths"])))
+    lines = []
+    for plant in dict.fromkeys(p for p, _ in cells):
+        there = of_plant(cells, plant)
+        first, last = (max(there, key=lambda d: there[d].areas[name].value) for name in (short, long))
+        values = [f"{there[d].areas[name].value:.3f}" for d, name in ((first, short), (last, short), (last, long))]
+        also = "" if first == last else f" ({last} {values[1]})"
+        lines.append(f"{plant}: {first} {values[0]}{also}, {last} {values[2]}")
+    return [
+        f"A bias of {small:g} sigma of {min(settings['lengths'])} and of {max(settings['lengths'])} samples, largest areas "
+        f"under the ROC: {'; '.join(lines)}."
+    ]
+
+
+def plant_findings(
+    settings: Settings, cells: Mapping[str, ComparisonCell], criteria: Mapping[str, Mapping[str, Standing]]
+) -> list[str]:
+    """The findings on one plant."""
+    plant, known = next(iter(cells.values())).plant, list(cells.values())
+    return [
+        *([leaders(settings, plant, known, criteria)] if criteria else []),
+        *missed(settings, known),
+        *false_isolations(plant, cells),
+        *broken_claims(known),
+        *excess_alarms(known),
+        *divergences(known),
+    ]
+
+
+def leaders(
+    settings: Settings, plant: str, cells: Sequence[ComparisonCell], criteria: Mapping[str, Mapping[str, Standing]]
+) -> str:
+    """Which detectors none exceeds beyond chance on a plant, with a note where one misses large faults."""
+    _, large = sizes(settings)
+    flaws: dict[str, dict[str, list[str]]] = {}
+    for cell in cells:
+        rows = cell.rows_of(*cell.graded(large))
+        never = rows.size > 0 and not cell["isolated"][rows].any()
+        if flaw := "detects little" if detected_share(settings, cell) < 0.5 else "isolates none" if never else "":
+            flaws.setdefault(cell.detector, {}).setdefault(flaw, []).append(cell.plant)
+    counted = len({cell.plant for cell in cells})
+    notes = {
+        d: "which " + " and ".join(f if len(on) == counted else f"{f} on {', '.join(on)}" for f, on in found.items())
+        for d, found in flaws.items()
+    }
+    silent = {d for d, found in flaws.items() if len(found.get("isolates none", ())) == counted}
+    parts = []
+    for criterion, found in criteria.items():
+        if any(s.mean.n for s in found.values()):
+            aside = silent if criterion == "exoneration" else set()
+            parts.append(f"{criterion}{', of those that isolate any' if aside else ''}: {first(found, notes, aside)}")
+    return f"Not exceeded beyond chance on {plant}: {'; '.join(parts)}."
+
+
+def first(standings: Mapping[str, Standing], notes: Mapping[str, str], silent: set[str]) -> str:
+    """The detectors of the best rank, or that all are; one that never isolates never isolates falsely, and is left out."""
+    ranks = {name: s.rank for name, s in standings.items() if name not in silent} or {n: s.rank for n, s in standings.items()}
+    best = [f"{name} ({notes[name]})" if name in notes else name for name, rank in ranks.items() if rank == min(ranks.values())]
+    return "no difference between any" if len(best) == len(ranks) > 1 else ", ".join(best)
+
+
+def broken_claims(cells: Sequence[ComparisonCell]) -> list[str]:
+    """Which detectors are shown to alarm more often at their own threshold than they claim; repeated cells count once."""
+    claimed = distinct([cell for cell in cells if np.isfinite(cell["claim"])])
+    if not claimed:
+        return []
+    broken = [cell for cell in claimed if cell.nominal.low > float(cell["claim"])]
+    which = "; ".join(
+        f"{c.detector} on {c.plant} {span([c.nominal.value])} (claims {span([float(c['claim'])])})" for c in broken
+    )
+    every = sum(bool(np.isfinite(cell["claim"])) for cell in cells)
+    repeated = f", {every - len(claimed)} more repeat another with the same scores" if every > len(claimed) else ""
+    more = f" These exceed it: {which}." if broken else ""
+    return [
+        f"At its own thresholds, {len(claimed) - len(broken)} of {len(claimed)} pairs of plant and detector that claim a rate "
+        f"of false alarms keep it within the interval{repeated}.{more}"
+    ]
+
+
+def distinct(cells: Sequence[ComparisonCell]) -> list[ComparisonCell]:
+    """The cells without those that claim the same and score the same on healthy readings of the plant as an earlier one."""
+    found: list[ComparisonCell] = []
+    for cell in cells:
+        same = (c for c in found if c.plant == cell.plant and float(c["claim"]) == float(cell["claim"]))
+        if not any(np.allclose(c["trunk"], cell["trunk"], rtol=1e-6) for c in same):
+            found.append(cell)
+    return found
+
+
+def excess_alarms(cells: Sequence[ComparisonCell]) -> list[str]:
+    """Which detectors alarm on healthy readings in spite of the common threshold: where alarms last, or runs differ."""
+    often = [c for c in cells if c.deployed.value > RARELY]
+    which = [f"{c.detector} {c.deployed.value:.1%} ({c.matched.value:.2%} before anything is isolated)" for c in often]
+    return [f"Healthy samples with an alarm as deployed: {'; '.join(which)}; the others {RARELY:.0%} at most."] if which else []
+
+
+def false_isolations(plant: str, cells: Mapping[str, ComparisonCell]) -> list[str]:
+    """Which detectors isolate healthy sensors under model mismatch and process faults, and which do not."""
+    found = []
+    for under, worst in (("mismatch case", under_mismatch), ("process fault", under_process_faults)):
+        shares = {d: v for d, c in cells.items() if np.isfinite(v := worst(c).share.value)}
+        groups = {
+            "in most samples": [f"{d} {v:.0%}" for d, v in shares.items() if v > 0.5],
+            "in some": [f"{d} {v:.0%}" for d, v in shares.items() if RARELY < v <= 0.5],
+            "in 1 % of them at most": [d for d, v in shares.items() if v <= RARELY],
+        }
+        listed = "; ".join(f"{how}: {listing(names, len(shares))}" for how, names in groups.items() if names)
+        found += [f"False isolation under the worst {under} of {plant}, {listed}."] if shares else []
+    return found
+
+
+def listing(names: Sequence[str], among: int) -> str:
+    """Names, or how many they are where they are too many to read."""
+    return ", ".join(names) if len(names) <= MOST_LISTED else f"{len(names)} of {among} detectors"
+
+
+def missed(settings: Settings, cells: Sequence[ComparisonCell]) -> list[str]:
+    """Cells that miss most of the large faults, which no average should hide."""
+    _, large = sizes(settings)
+    which = [f"{c.detector} {share:.0%}" for c in cells if (share := detected_share(settings, c)) < 0.5]
+    return [f"Less than half of the runs with a fault of {large:g} sigma raise an alarm: {'; '.join(which)}."] if which else []
+
+
+def remarks(settings: Settings, cells: Cells) -> list[str]:
+    """How to read the numbers."""
+    rate = settings["false_alarm"]
+    counts = {cell.plant: cell["nominal_alarms"].size * int(cell["calibration_samples"]) for cell in cells.values()}
+    aims = span(stated_error(settings, samples) for samples in counts.values())
+    matched = span(cell.matched.value for cell in cells.values())
+    deployed = span(cell.deployed.value for cell in cells.values())
+    chance = span(cell.chance for cell in cells.values())
+    scales = span(cell.scale for cell in cells.values())
+    errors = span(cell.calibration_error for cell in cells.values())
+    above = [c for c in cells.values() if c.matched.low > rate]
+    which = "; ".join(f"{c.detector} on {c.plant} {span([c.matched.value])}" for c in above)
+    return [
+        f"Every detector's thresholds are multiplied by one number ({scales}) so that {rate:g} of healthy samples alarm: an "
+        f"order statistic of {span(counts.values())} healthy samples of other seeds. Were they independent, the standard error "
+        f"of the rate would be {aims} of it. They are not: by the differences between runs it is {errors} of it. "
+        "Intervals of what depends on the threshold contain that.",
+        f"Audit on fresh seeds: on the healthy trunks {matched} of the samples alarm as long as nothing has been isolated; "
+        f"{f'shown to exceed {rate:g}: {which}' if which else f'no cell is shown to exceed {rate:g}'}. As deployed, where some "
+        f"alarms last, {deployed} have an alarm. Of healthy windows of {settings['window']} samples, as long as most faults, "
+        f"{chance} have one by chance.",
+        "The order of the kinds of faults is drawn for each seed, so that each occurs in all phases of the operation; all "
+        "sensors fail in turn. Ranks hold for the thresholds as they were set.",
+        "Receiver operating characteristics are those of silent detectors, which isolate and replace nothing; all else is of "
+        "deployed ones, which have not alarmed yet when a fault begins. All faults of sensors are among the runs that rank "
+        "detectors.",
+        f"Readings come from a truth that differs from the detectors' model by, at most, without noise: {truths(cells)}. Where "
+        "it does not differ, a simulation alone predicts them exactly: see the results under model mismatch. A plant "
+        "with controllers is run in closed loop. What learns from healthy recordings learns from runs of the same truth, of "
+        "other seeds; the thresholds that the paper's banks start from are set on runs of the model.",
+    ]
+
+
+def truths(cells: Cells) -> str:
+    """How far the truth is from the model, by plant."""
+    return "; ".join(f"{plant.name} {stated_distance(plant)}" for plant in dict.fromkeys(c.subject for c in cells.values()))
+
+
+def left_out(cells: Cells, whole: Cells) -> list[str]:
+    """Which cells are not ranked."""
+    which = [f"{detector} on {plant}" for plant, detector in cells if (plant, detector) not in whole]
+    return [f"Left out of the ranks, since a piece of their work failed: {', '.join(which)}."] if which else []
+
+
+def absent(settings: Settings, cells: Cells, reasons: Mapping[tuple[str, str], str]) -> list[str]:
+    """Plants on which no detector ran, and why."""
+    there = {plant for plant, _ in cells}
+    which = {plant: "; ".join(dict.fromkeys(of_plant(reasons, plant).values())) for plant in settings["plants"]}
+    return [f"No detector ran on {p}: {why.rstrip('.') or 'all work failed'}." for p, why in which.items() if p not in there]
+
+
+def divergences(cells: Sequence[ComparisonCell]) -> list[str]:
+    """Detectors whose estimator diverged."""
+    which = [f"{c.detector} {share:.1%}" for c in cells if (share := float(c["diverged"].mean())) > 0]
+    return [f"Runs in which the estimator diverged: {'; '.join(which)}."] if which else []

@@ -1,0 +1,213 @@
+"""From decisions to events, and events in words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from process_bank import INFLOW, OUTLET, SD, SIZE, ProcessBank
+from toy_plants import readings, tanks
+
+from fusion_sfdia.common.clock import Clock
+from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.diagnosis.diagnose import Diagnosis, against_the_model
+from fusion_sfdia.diagnosis.events import (
+    Event,
+    OtherEvent,
+    ProcessEvent,
+    UndecidedEvent,
+    events_of,
+    listed,
+    spans,
+    verdict,
+    with_spread,
+)
+from fusion_sfdia.diagnosis.recorded import diagnose
+
+NEVER = 10**6
+PLANT = tanks()
+Q12 = PLANT.sensor_index("q12")
+
+
+def found(*, bias_from: int = 1000, **settings: Any) -> Diagnosis:
+    """A diagnosis of 40 readings, 5 s apart, with a bias of 20 sigma of q12 from a step on, by the bank with a fixed rule."""
+    settings = {"accept": (NEVER, NEVER), "false_alarm": 1e-6} | settings
+    t, _, y, u = readings(PLANT, 40, 1, seed=0)
+    y = y[:, 0].copy()
+    y[bias_from:, Q12] += 20 * PLANT.sensor_sigma[Q12]
+    return diagnose(ProcessBank(PLANT, **settings), t, y, u[:, 0])
+
+
+def test_nothing_is_found() -> None:
+    nothing = found()
+    assert nothing.events == () and nothing.verdict == "no fault" == str(nothing)
+    assert repr(nothing) == "<Diagnosis of 40 readings, 0 events: no fault>"
+
+
+def test_an_accepted_parameter_is_stated_relative_to_the_model() -> None:
+    diagnosis = found(accept=(9, NEVER))
+    (event,) = diagnosis.events
+    assert event == ProcessEvent("outlet", 45.0, 200.0, SIZE[0], "m2.5/s", True, SD[0], OUTLET.nominal)
+    assert event.kind == "process" and diagnosis.process_hypotheses == (OUTLET, INFLOW)
+    assert str(event) == "outlet 5.0 % +- 0.8 below the model since 45 s: not a sensor"  # 3e-5 and 5e-6 of 6e-4
+    assert diagnosis.verdict == "process or model: outlet"
+    assert str(diagnosis) == f"process or model: outlet\n  {event}"
+
+
+def test_a_pure_number_has_no_unit() -> None:
+    event = ProcessEvent("learnt disturbance 1 (T3, L2)", 0.0, 9.0, 17.5, "1", False, 1.4, np.nan)
+    assert str(event) == "learnt disturbance 1 (T3, L2) 17.5 +- 1.4 above the model from 0 s to 9 s: not a sensor"
+    assert Event("pH", 0.0, 9.0, 0.5, "1", False, fault="bias").extent == "bias 0.5"
+
+
+def test_an_error_without_nominal_value_is_stated_in_its_unit() -> None:
+    (event,) = found(accept=(NEVER, 9), release=(NEVER, 20)).events
+    assert str(event) == "error of inflow 4.2e-05 m3/s +- 6e-06 above the model from 45 s to 95 s: not a sensor"
+
+
+def test_the_process_is_first_then_what_is_undecided_then_sensors() -> None:
+    """Even where it is accepted later; of each in order of their start."""
+    diagnosis = found(accept=(30, 25), bias_from=20, doubt=(3, 8), between=(4, 0))
+    assert [(e.kind, e.hypothesis) for e in diagnosis.events] == [
+        ("process", "error of inflow"),
+        ("process", "outlet"),
+        ("undecided", "outlet or l1"),
+        ("sensor", "q12"),
+    ]
+    expected = "process or model: error of inflow, outlet; cannot tell: outlet or l1; sensor q12"
+    assert diagnosis.verdict == expected and repr(diagnosis) == f"<Diagnosis of 40 readings, 4 events: {expected}>"
+    _, _, undecided, sensor = diagnosis.events
+    assert str(undecided) == "cannot tell: outlet or l1, from 15 s to 35 s"  # the more probable first
+    assert str(sensor) == "q12: 105 s to end of the log, bias 0.00012 m3/s (0.0001169 to 0.000123), 20 sigma"
+
+
+def test_what_is_decided_in_the_end_is_no_open_question() -> None:
+    """The suspects stand until the sample before the sensor is isolated; between others they stay an open question."""
+    decided, other = (found(bias_from=20, doubt=(16, 21), between=between) for between in ((Q12, 4), (0, 4)))
+    assert [e.kind for e in decided.events] == [e.kind for e in other.events] == ["undecided", "sensor"]
+    assert decided.events[0].end == 100.0 and decided.events[1].start == 105.0
+    assert decided.verdict == "sensor q12"
+    assert other.verdict == "cannot tell: l1 or outlet; sensor q12"
+
+
+def test_a_short_alarm_that_ends_by_itself_is_no_open_question() -> None:
+    """It is an event all the same; one that lasts to the end is open."""
+    short, long, last = (found(doubt=doubt, between=(0, 4)) for doubt in ((9, 11), (9, 12), (40, NEVER)))
+    assert short.verdict == "no fault" and len(short.events) == 1
+    assert long.verdict == last.verdict == "cannot tell: l1 or outlet"
+    assert str(found(doubt=(9, 10), between=(0, 4)).events[0]) == "cannot tell: l1 or outlet, at 45 s"
+
+
+def test_suspects_are_those_that_stood_together_longest() -> None:
+    once = found(doubt=(5, NEVER), between=(1, 5))
+    (event,) = once.events
+    assert isinstance(event, UndecidedEvent) and event.open and np.isnan(event.size)
+    assert event.suspects == ("l2", "error of inflow") and str(event) == "cannot tell: l2 or error of inflow, since 25 s"
+    suspect = np.zeros_like(once.decisions.suspect)
+    suspect[5:7, [0, 1, 2, 5]] = True  # at first anything
+    suspect[7:10, [1, 5]] = True
+    suspect[11:14, [0, 5]] = True  # after a gap as often as the two before: the later counts
+    detector, decisions = ProcessBank(PLANT), replace(once.decisions, suspect=suspect, probability=None)
+    (event,) = events_of(detector, once.t, decisions, 3)
+    assert isinstance(event, UndecidedEvent) and event.suspects == ("l1", "error of inflow")
+    assert (event.start, event.end) == (once.t[5], once.t[13])
+    apart = events_of(detector, once.t, decisions, 1)
+    assert [e.hypothesis for e in apart] == ["l2 or error of inflow", "l1 or error of inflow"]
+
+
+def test_the_table_has_kinds_only_where_the_process_is_tested() -> None:
+    pandas = pytest.importorskip("pandas")
+    diagnosis = found(accept=(9, NEVER), bias_from=20)
+    frame = diagnosis.frame()
+    added = ["fault", "start", "end", "size_low", "size_high", "size_sigma", "confidence", "alternatives"]
+    known = ["kind", "hypothesis", "start_s", "end_s", "size", "sd", "unit", "nominal", "open"]
+    assert list(frame.columns) == known + added
+    assert frame["kind"].tolist() == ["process", "sensor"] and isinstance(frame, pandas.DataFrame)
+    assert frame["sd"].tolist()[0] == SD[0] and np.isnan(frame["sd"].tolist()[1])
+    t, _, y, u = readings(PLANT, 5, 1, seed=0)
+    of_sensors = diagnose(LeaveOneOutBank(PLANT), t, y[:, 0], u[:, 0])
+    assert list(of_sensors.frame().columns) == ["sensor", "start_s", "end_s", "size", "unit", "open", *added]
+    assert of_sensors.process_hypotheses == ()
+
+
+def test_sensors_are_those_of_the_bank_without_the_process() -> None:
+    t, _, y, u = readings(PLANT, 40, 1, seed=0)
+    y = y[:, 0].copy()
+    y[20:, Q12] += 20 * PLANT.sensor_sigma[Q12]
+    alone = diagnose(LeaveOneOutBank(PLANT, false_alarm=1e-6), t, y, u[:, 0])
+    (beside,) = found(accept=(9, NEVER), bias_from=20).events[1:]
+    assert alone.events == (replace(beside, confidence=alone.events[0].confidence),)  # of which this bank has its own
+    assert alone.verdict == "sensor q12"
+
+
+def test_a_verdict_holds_until_the_estimate_diverges() -> None:
+    t, _, y, u = readings(PLANT, 40, 1, seed=0)
+    bank = ProcessBank(PLANT, accept=(9, NEVER))
+    diagnosis = diagnose(bank, t, y[:, 0], u[:, 0])
+    diagnosis.decisions.diverged[30:] = True
+    assert diagnosis.verdict == "process or model: outlet until 155 s, where the estimate diverged"
+
+
+def test_other_hypotheses_than_sensors_are_no_sensors() -> None:
+    when = (1.0, 2.0, 0.5)
+    events = [Event("a", *when, "m", False), Event("b", *when, "m", False), OtherEvent("attack", *when, "", False)]
+    assert verdict(events, np.arange(3.0)) == "sensors a, b; fault attack"
+
+
+def test_what_is_rather_something_else_is_named_as_a_possibility() -> None:
+    sure, even, unlikely = (Event(n, 1.0, 2.0, 0.5, "m", False, confidence=c) for n, c in (("a", 0.9), ("b", 0.5), ("c", 0.1)))
+    assert verdict([sure, even, unlikely], np.arange(3.0)) == "sensors a, b; perhaps c"
+    assert verdict([unlikely], np.arange(3.0)) == "perhaps c"
+    assert verdict([unlikely, replace(sure, hypothesis="c")], np.arange(3.0)) == "sensor c"
+    alone = UndecidedEvent("a", 1.0, 4.0, np.nan, "", False, ("a",))
+    assert alone.told(Clock()) == "perhaps a, from 1 s to 4 s"
+
+
+@pytest.mark.parametrize(("samples", "speaks"), [(2, False), (3, True)])
+def test_a_model_is_suspect_where_sensors_disagree_for_longer_than_noise(samples: int, speaks: bool) -> None:
+    t, _, y, u = readings(PLANT, 40, 1, seed=0)
+    diagnosis = diagnose(LeaveOneOutBank(PLANT), t, y[:, 0], u[:, 0])
+    diagnosis.decisions.capped[20 : 20 + samples] = True
+    found = against_the_model((), diagnosis.decisions, t, Clock())
+    assert found == (("more sensors disagree with it than can be isolated in 3 of 40 samples",) if speaks else ())
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "expected"),
+    [
+        (31.4, 4.2, ("31", "4")),
+        (31.4, 1.26, ("31.4", "1.3")),
+        (31.44, 0.96, ("31.4", "1.0")),
+        (5.0, 0.8333, ("5.0", "0.8")),
+        (123456.0, 2900.0, ("123000", "3000")),
+        (4.2e-9, 6e-10, ("4.2e-09", "6e-10")),
+        (3.14159, 0.0, ("3.14", "0")),
+        (3.14159, float("nan"), ("3.14", "nan")),
+    ],
+)
+def test_a_value_has_the_digits_that_its_spread_allows(value: float, sd: float, expected: tuple[str, str]) -> None:
+    assert with_spread(value, sd) == expected
+
+
+def test_of_many_names_the_first_are_listed() -> None:
+    assert listed(["a", "b", "a", "c", "d", "e"]) == "a, b, c, d, e"  # "1 more" would be no shorter
+    assert listed(list("abcdefg"), " or ") == "a or b or c or d or 3 more"
+
+
+@pytest.mark.parametrize(
+    ("held", "gap", "expected"),
+    [
+        ("", 1, []),
+        ("....", 3, []),
+        ("####", 1, [(0, 3)]),
+        ("#..#", 1, [(0, 0), (3, 3)]),
+        ("#..#", 2, [(0, 0), (3, 3)]),
+        ("#..#", 3, [(0, 3)]),
+        (".##.#...#.", 2, [(1, 4), (8, 8)]),
+        ("#.#.#", 2, [(0, 4)]),
+    ],
+)
+def test_spans(held: str, gap: int, expected: list[tuple[int, int]]) -> None:
+    assert spans(np.array([c == "#" for c in held], dtype=bool), gap) == expected

@@ -1,0 +1,87 @@
+"""A sensor whose readings come late is named with its lag and not isolated, and its bias is still found."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fusion_sfdia import diagnose, simulate
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.diagnosis.diagnose import diagnose_run
+from fusion_sfdia.diagnosis.lag import Lag, earlier, latest
+from fusion_sfdia.plant.log import Log
+from fusion_sfdia.plant.plant import Plant
+
+HALF = 150
+
+
+@pytest.fixture(scope="module")
+def tanks() -> Plant:
+    """Two tanks whose inflow changes by some 30 % every 20 readings."""
+    plant = registry.plant("two-tanks")
+    change = np.clip(np.random.default_rng(0).standard_normal(40), -2, 2)
+
+    def operation(t: float) -> np.ndarray:  # type: ignore[type-arg]
+        return plant.input_at(0.0) * (1 + 0.3 * change[int(max(t, 0.0) / (20 * plant.dt)) % change.size])
+
+    return replace(plant, truth=replace(plant.truth, operation=operation))
+
+
+def recorded(plant: Plant, i: int, rows: int, bias: float = 0.0) -> Log:
+    """Readings of which those of sensor i come so many rows late, with a bias of so many sigma from the middle on."""
+    r = simulate(plant, 2 * HALF, seeds=[0], truth="model", process_noise=True)
+    y = r.y[:, 0].copy()
+    if rows:
+        y[rows:, i] = r.y[:-rows, 0, i]
+    y[HALF:, i] += bias * plant.sensor_sigma[i]
+    return Log(r.t, y, r.u_of_runs[:, 0])
+
+
+@pytest.mark.parametrize("name", ["loo-glr", "robust-glr"])
+@pytest.mark.parametrize(("sensor", "rows"), [("l1", 1), ("l1", 3), ("l1", 10), ("l2", 3), ("l2", 10)])
+def test_a_late_sensor_is_named_and_not_isolated(name: str, sensor: str, rows: int, tanks: Plant) -> None:
+    found = diagnose(name, recorded(tanks, tanks.sensor_index(sensor), rows), plant=tanks)
+    assert found.events == ()
+    (text,) = found.of_log
+    assert text.startswith(f"{sensor} is late by {rows} row{'s' * (rows > 1)} ({rows * tanks.dt:g} s)")
+    assert text in found.remarks
+
+
+@pytest.mark.parametrize("rows", [3, 10])
+def test_the_bias_of_a_late_sensor_is_found_with_its_size_and_time(rows: int, tanks: Plant) -> None:
+    i = tanks.sensor_index("l1")
+    found = diagnose("loo-glr", recorded(tanks, i, rows, bias=10.0), plant=tanks)
+    (event,) = found.events
+    assert (event.hypothesis, event.fault) == ("l1", "bias")
+    assert event.size == pytest.approx(10 * tanks.sensor_sigma[i], rel=0.1)
+    assert event.start == pytest.approx((HALF - rows) * tanks.dt, abs=2 * tanks.dt)
+    assert f"l1 is late by {rows} rows" in found.of_log[0]
+
+
+@pytest.mark.parametrize("kind", ["bias", "drift", "scale", "noise", "freeze"])
+def test_a_fault_is_no_lag(kind: str, tanks: Plant) -> None:
+    i = tanks.sensor_index("l1")
+    log = recorded(tanks, i, 0)
+    part, sigma = log.y[HALF:, i], tanks.sensor_sigma[i]
+    faulty = {
+        "bias": part + 10 * sigma,
+        "drift": part + 20 * sigma * np.linspace(0, 1, part.size),
+        "scale": part * 1.2,
+        "noise": part + 8 * sigma * np.random.default_rng(1).standard_normal(part.size),
+        "freeze": np.full(part.size, part[0]),
+    }
+    log.y[HALF:, i] = faulty[kind]
+    found = diagnose("loo-glr", log, plant=tanks)
+    assert "l1" in {e.hypothesis for e in found.events}
+    assert found.of_log == ()
+
+
+def test_healthy_readings_are_not_late(tanks: Plant) -> None:
+    log = recorded(tanks, 0, 0)
+    detector = registry.detector("loo-glr", tanks)
+    assert latest(detector, log, diagnose_run(detector, log)) is None
+    late = recorded(tanks, 0, 5)
+    assert latest(detector, late, diagnose_run(detector, late)) == Lag(0, 5)
+    moved = earlier(late, 0, 5)
+    np.testing.assert_array_equal(moved.y[:-5, 0], log.y[:-5, 0])
+    assert np.isnan(moved.y[-5:, 0]).all()

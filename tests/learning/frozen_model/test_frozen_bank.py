@@ -1,0 +1,146 @@
+"""The frozen model on plants with a wrong law, and on the tanks: slow drifts, process faults, and what follows them."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from toy_plants import tanks
+from wrong_laws import DAY, DT, PLANTS, WrongLaw, drift, exchanger_pair, tank_cascade
+
+from fusion_sfdia.detectors.detector import Decision, run
+from fusion_sfdia.detectors.saved_detectors import load_detector, save_detector
+from fusion_sfdia.detectors.verdicts import Verdict
+from fusion_sfdia.diagnosis.diagnose import diagnose_run
+from fusion_sfdia.diagnosis.events import events_of
+from fusion_sfdia.diagnosis.simulate import simulate
+from fusion_sfdia.learning.frozen_model.frozen_bank import NO_SINGLE_CAUSE, OUTSIDE, FrozenBank
+from fusion_sfdia.plant.log import Log
+
+Array = NDArray[Any]
+
+PLANT = tanks()
+ONSET, ROWS = 400, 300
+
+
+@cache
+def on_tanks() -> FrozenBank:
+    found = simulate(PLANT, 1500, [1], process_noise=True)
+    return FrozenBank.fit(PLANT, Log(found.t, found.y[:, 0], found.u), 1e-3)
+
+
+@cache
+def of(make: Any, days: float = 3.0) -> tuple[WrongLaw, FrozenBank]:
+    law = make()
+    return law, FrozenBank.fit(law.plant(), law.record(days, 21, building=11), 1 / DAY)
+
+
+def decisions(detector: FrozenBank, log: Log) -> Decision:
+    return run(detector, detector.init((), float(log.t[0]) - detector.plant.dt), log)[1]
+
+
+def with_bias(size: float, sensor: int, first: int, last: int, slope: bool = False) -> Log:
+    found = simulate(PLANT, 900, [5], process_noise=True)
+    y = found.y[:, 0].copy()
+    grown = np.linspace(0, 1, last - first) if slope else np.ones(last - first)
+    y[first:last, sensor] += size * PLANT.sensor_sigma[sensor] * grown
+    return Log(found.t, y, found.u)
+
+
+def test_healthy_tanks_are_silent() -> None:
+    d = decisions(on_tanks(), with_bias(0.0, 0, ONSET, ONSET + 1))
+    assert not d.isolated.any() and d.process is not None and not d.process.any()
+
+
+def test_a_slow_drift_is_named_and_nothing_follows_its_end() -> None:
+    d = decisions(on_tanks(), with_bias(12.0, 2, ONSET, ONSET + ROWS, slope=True))
+    during, after = d.isolated[ONSET : ONSET + ROWS], d.isolated[ONSET + ROWS + 30 :]
+    assert np.mean(during[:, 2]) > 0.4 and not np.delete(during, 2, axis=1).any()
+    assert np.mean(after.any(axis=1)) < 0.02
+    assert np.nanmax(d.fault_size[:, 2]) == pytest.approx(12 * PLANT.sensor_sigma[2], rel=0.35)
+
+
+def test_a_level_sensor_and_its_outlet_are_one_of_two() -> None:
+    """The flow is the outlet's coefficient times the root of the level: the two look alike in every slow change."""
+    d = decisions(on_tanks(), with_bias(12.0, 0, ONSET, ONSET + ROWS, slope=True))
+    assert d.suspect is not None
+    names = (*PLANT.sensor_names, *(h.name for h in on_tanks().process_hypotheses))
+    seen = {tuple(np.array(names)[row]) for row in d.suspect[ONSET : ONSET + ROWS] if row.any()}
+    assert seen and all(PLANT.sensor_names[0] in one for one in seen)
+    assert not np.delete(d.isolated, 0, axis=1).any()
+
+
+def test_a_frozen_sensor_is_named() -> None:
+    log = with_bias(0.0, 0, ONSET, ONSET + 1)
+    y = log.y.copy()
+    y[ONSET : ONSET + 60, 1] = y[ONSET, 1]
+    d = decisions(on_tanks(), log._replace(y=y))
+    assert np.mean(d.isolated[ONSET + 6 : ONSET + 60, 1]) > 0.95 and not np.delete(d.isolated, 1, axis=1).any()
+
+
+def test_saved_and_loaded_it_decides_the_same(tmp_path: Path) -> None:
+    save_detector(tmp_path / "frozen.npz", on_tanks())
+    other = load_detector(tmp_path / "frozen.npz", PLANT)
+    log = with_bias(10.0, 2, ONSET, ONSET + 100)
+    one, two = decisions(on_tanks(), log), decisions(other, log)
+    np.testing.assert_array_equal(one.isolated, two.isolated)
+    np.testing.assert_array_equal(one.residual, two.residual)
+
+
+def test_hypotheses_without_a_size_become_events_of_their_own() -> None:
+    log = with_bias(0.0, 0, ONSET, ONSET + 1)
+    d = decisions(on_tanks(), log)
+    assert d.process is not None
+    tested = on_tanks().process_hypotheses
+    assert tested[-2:] == (NO_SINGLE_CAUSE, OUTSIDE)
+    d.process[100:120, -2] = d.process[300:320, -1] = True
+    found = [e for e in events_of(on_tanks(), log.t, d, 3) if e.kind != "undecided"]
+    assert [e.kind for e in found] == ["process", "outside"] and all(np.isnan(e.size) for e in found)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [pytest.param(m, marks=pytest.mark.slow if m is tank_cascade else pytest.mark.long) for m in PLANTS],
+    ids=lambda make: make.__name__,
+)
+def test_a_wrong_law_blames_no_healthy_sensor(make: Any) -> None:
+    """A day that was not learnt; a verdict of some rows may be "outside"."""
+    law, detector = of(make)
+    d = decisions(detector, law.record(1.0, 22, building=11))
+    assert np.mean(d.isolated.any(axis=1)) <= 0.002
+    assert d.process is not None and np.mean(d.process[:, :-1].any(axis=1)) <= 0.02
+
+
+@pytest.mark.parametrize(
+    ("make", "sensor"),
+    [pytest.param(tank_cascade, 4, marks=pytest.mark.slow), pytest.param(exchanger_pair, 2, marks=pytest.mark.long)],
+)
+def test_a_drift_on_a_plant_with_a_wrong_law_is_named(make: Any, sensor: int) -> None:
+    law, detector = of(make)
+    count = len(law.sensors)
+    log = law.record(0.6, 23 + sensor, building=11, bias=drift(sensor, count, ONSET * DT, ROWS, 10.0))
+    d = decisions(detector, log)
+    during, after = d.isolated[ONSET : ONSET + ROWS], d.isolated[ONSET + ROWS + 30 :]
+    assert np.mean(during[:, sensor]) > 0.4 and np.mean(np.delete(during, sensor, axis=1).any(axis=1)) <= 0.005
+    assert np.mean(after.any(axis=1)) <= 0.1
+    found = diagnose_run(detector, log)
+    assert found.state is Verdict.SENSOR and law.sensors[sensor].name in found.verdict
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rows", [60])
+def test_a_process_fault_on_a_plant_with_a_wrong_law_is_no_sensor(rows: int) -> None:
+    law, detector = of(tank_cascade)
+
+    def weaker(t: Array) -> Array:
+        factor = np.ones((t.size, len(law.parameters)))
+        factor[:, 0] -= 0.3 * np.clip((t / DT - ONSET) / rows, 0, 1)
+        return factor
+
+    d = decisions(detector, law.record(0.6, 31, building=11, change=weaker))
+    assert d.process is not None
+    assert np.mean(d.process[ONSET + rows :].any(axis=1)) > 0.8 and np.mean(d.isolated.any(axis=1)) <= 0.01
