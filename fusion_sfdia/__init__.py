@@ -1,31 +1,42 @@
 """Sensor-fault detection, isolation and accommodation: three schools on one state-space interface.
 
-The public names are listed in __init__.pyi, which type checkers read, too. Each is imported at its first use, so that importing
-the package is fast.
+The public names are listed in __init__.pyi; more stand in `plants`, `detectors`, `filters`, `logs`, `faults`, `events`,
+`learning` and `metrics`. Each is imported at its first use, so that importing the package is fast.
 """
 
-import ast
 from importlib import import_module
-from pathlib import Path
 from typing import Any
+from warnings import warn
+
+from fusion_sfdia.common.public_names import public_names
 
 __version__ = "0.1.0"
 
-_MODULES = {
-    alias.name: str(node.module)
-    for node in ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")).body
-    if isinstance(node, ast.ImportFrom)
-    for alias in node.names
+_GROUPS = ("plants", "detectors", "filters", "logs", "faults", "events", "learning", "metrics")
+_RENAMED = {  # former names, until the next release
+    "inspect_plant": "inspect",
+    "Roc": "metrics.RocCurve",
+    "Audit": "metrics.AuditResult",
+    "Whiteness": "learning.WhitenessTest",
+    "Identifiability": "learning.IdentifiabilityResult",
 }
-__all__ = ["__version__", *_MODULES]  # all of them are strings
+
+_names, _public, _ = public_names(__name__, __file__)
+__all__ = ["__version__", *_GROUPS, *_names]
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; public names: {', '.join(_MODULES)}")
-    globals()[name] = value = getattr(import_module(_MODULES[name]), name)
-    return value
+    if name in _GROUPS:
+        return import_module(f"{__name__}.{name}")
+    if name in _names or name.startswith("_"):
+        return _public(name)
+    homes = (f"{group}.{name}" for group in _GROUPS if name in import_module(f"{__name__}.{group}").__all__)
+    if (now := _RENAMED.get(name) or next(homes, "")) == "":
+        return _public(name)  # which states the public names
+    warn(f"fusion_sfdia.{name} is fusion_sfdia.{now} now; the next release knows it by that alone", DeprecationWarning, 2)
+    group, _, new = now.rpartition(".")
+    return getattr(import_module(f"{__name__}.{group}"), new) if group else _public(new)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_MODULES})
+    return sorted(__all__)

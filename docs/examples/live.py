@@ -2,7 +2,8 @@ from pathlib import Path
 
 from tank import make
 
-from fusion_sfdia import LeaveOneOutBank, Watch, simulate
+from fusion_sfdia import Watch, simulate
+from fusion_sfdia.detectors import LeaveOneOutBank
 
 plant, state = make(), Path("tank.state")
 detector = LeaveOneOutBank(plant)

@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion_sfdia import BatchDetector, Decision, register_detector
+from fusion_sfdia import register_detector
+from fusion_sfdia.detectors import BatchDetector, Decision
 
 
 class Memory(NamedTuple):

@@ -8,7 +8,8 @@ CasADi takes a batch as the columns of a matrix, and maps over it what was writt
 import casadi as ca
 import numpy as np
 
-from fusion_sfdia import Numerics, Plant, Sensor, Signal, diagnose, simulate
+from fusion_sfdia import Plant, Sensor, Signal, diagnose, simulate
+from fusion_sfdia.plants import Numerics
 
 RATES = (1.287e12, 9758.3), (1.287e12, 9758.3), (9.043e9, 8560.0)  # 1/h, 1/h, l/(mol h); K: of A to B, B to C, 2 A to D
 HEATS = 4.2, -11.0, -41.85  # kJ/mol

@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import tank
 
-from fusion_sfdia import LeaveOneOutBank, Parameter, Uncertainty, augment, run, simulate
+from fusion_sfdia import Parameter, Uncertainty, run, simulate
+from fusion_sfdia.detectors import LeaveOneOutBank
+from fusion_sfdia.plants import augment
 
 OUTFLOW = Parameter("outflow", "m^3/s", nominal=tank.OUTFLOW, sd=5e-5, source="tables of discharge coefficients")
 

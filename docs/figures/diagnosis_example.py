@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from fusion_sfdia import Fault, apply_faults, diagnose, gas_pipeline, simulate
+from fusion_sfdia import Fault, diagnose, simulate
+from fusion_sfdia.faults import apply_faults
+from fusion_sfdia.plants import gas_pipeline
 from fusion_sfdia.report.plots import style
 
 FILE = Path(__file__).with_suffix(".png")

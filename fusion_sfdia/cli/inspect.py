@@ -41,7 +41,7 @@ def _inspected(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.cli.tune import chosen_plant, tuned_entry
     from fusion_sfdia.common.files import all_or_none, atomic_write
     from fusion_sfdia.common.plain_text import plain
-    from fusion_sfdia.learning.inspection.inspect_plant import inspect_plant
+    from fusion_sfdia.learning.inspection.inspect import inspect
     from fusion_sfdia.learning.inspection.inspection import as_json, as_text
     from fusion_sfdia.report.progress import progress
 
@@ -54,7 +54,7 @@ def _inspected(chosen: argparse.Namespace) -> int:
     if healthy is not None:
         warn_of(chosen.data, healthy.brief)
     with printed_warnings():
-        found = inspect_plant(
+        found = inspect(
             model,
             None if healthy is None else healthy.log,
             detectors=chosen.detectors,

@@ -202,7 +202,7 @@ class BatchDetector(Claims, ABC):
         """The state in which sensors, by name, are used again in all runs: after their repair, or where an isolation was wrong.
 
         A sensor that alone sees a lasting mode of the plant may never be used again on its own, since the estimate without it
-        keeps its error (`inspect_plant` lists them): a bank then also widens the covariance of its estimate by what the
+        keeps its error (`inspect` lists them): a bank then also widens the covariance of its estimate by what the
         readings differed from it, so that it follows the repaired sensor. Nor is any of a detector whose alarms latch.
         Detectors that judge each reading anew keep none out; they return the state as it is. ValueError for a state of
         another detector and an unknown sensor.

@@ -165,7 +165,7 @@ def result_of(case: Case, seeds: int, found: Sequence[Outcome], left_out: str) -
 
 
 @dataclass(frozen=True)
-class Audit:
+class AuditResult:
     """The results of an audit, by case; str(audit) is the table that `fusion-sfdia audit` prints.
 
     reliability: of the events of sensors with a confidence in [low, high] their number and the share that was right.
@@ -254,7 +254,7 @@ def audit(
     workers: int = 1,
     each: Callable[[Iterator[Any], int], Iterator[Any]] = lambda done, count: done,
     name: str = "",
-) -> Audit:
+) -> AuditResult:
     """Run all cases that a plant can have, and judge what the detector says.
 
     detector: with its plant, or what makes it, in each process. seeds: of the trials of each case. steps: rows of a trial, at
@@ -280,4 +280,4 @@ def audit(
         for low, high in LEVELS
         for inside in [(stated >= low) & ((stated < high) | (high == 1.0))]
     )
-    return Audit(made.plant.name, name or type(made).__name__, steps, results, reliability)
+    return AuditResult(made.plant.name, name or type(made).__name__, steps, results, reliability)

@@ -26,7 +26,7 @@ from fusion_sfdia.report.metrics import (
 Array = NDArray[Any]
 
 
-class Roc(NamedTuple):
+class RocCurve(NamedTuple):
     """A curve over falling thresholds: alarm where score >= threshold."""
 
     false_alarm_probability: Array
@@ -80,7 +80,7 @@ def judged_right(alarm: Array, isolated: Array, active: Array, where: Array | No
     return np.asarray(np.where(during.any(axis=0), hit, quiet))
 
 
-def roc(scores: Array, active: Array, where: Array | None = None) -> Roc:
+def roc(scores: Array, active: Array, where: Array | None = None) -> RocCurve:
     """Receiver operating characteristic by samples; scores (K, B), or (K, B, N) to judge each sensor separately.
 
     It is that of the method only where nothing was accommodated during the run: a threshold changes what follows. Empty
@@ -88,8 +88,8 @@ def roc(scores: Array, active: Array, where: Array | None = None) -> Roc:
     """
     score, truth, _ = _labelled(scores, active, where)
     if not score.size or truth.all() or not truth.any():
-        return Roc(np.empty(0), np.empty(0), np.empty(0))
-    return Roc(*roc_curve(truth, score))
+        return RocCurve(np.empty(0), np.empty(0), np.empty(0))
+    return RocCurve(*roc_curve(truth, score))
 
 
 def auc(scores: Array, active: Array, where: Array | None = None) -> Estimate:

@@ -36,7 +36,7 @@ MODULES = {
     ".".join(path.relative_to(start).with_suffix("").parts): path
     for start, folder in ((ROOT / "fusion_sfdia", "."), (ROOT, "models"), (ROOT, "benchmarks"))
     for path in sorted((start / folder).rglob("*.py"))
-    if path.stem not in ("__init__", "__main__")
+    if path.stem not in ("__init__", "__main__") and path.parent != ROOT / "fusion_sfdia"  # there stand the public names
 }
 
 

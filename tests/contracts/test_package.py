@@ -15,6 +15,9 @@ import fusion_sfdia
 
 HEAVY = {"scipy", "matplotlib", "sklearn", "numba", "numpy", "joblib", "filterpy", "rich", "jinja2"}
 
+GROUPS = [getattr(fusion_sfdia, group) for group in fusion_sfdia._GROUPS]
+PUBLIC = [fusion_sfdia, *GROUPS]
+
 
 def python(code: str, cwd: Path, *options: str) -> str:
     """Run code in another process and return what it prints; the checkout is on its path."""
@@ -41,17 +44,33 @@ def test_importing_loads_nothing_heavy(tmp_path: Path, code: str) -> None:
 
 
 def test_every_public_name_is_there() -> None:
-    for name in fusion_sfdia.__all__:
-        assert getattr(fusion_sfdia, name) is not None
-    assert set(fusion_sfdia.__all__) <= set(dir(fusion_sfdia))
+    for module in PUBLIC:
+        assert all(getattr(module, name) is not None for name in module.__all__)
+        assert {*dir(module)} == {*module.__all__}, "dir shows what is public, and nothing else"
+    assert len(fusion_sfdia.__all__) < 45
     with pytest.raises(AttributeError, match=r"no attribute 'simulat'; public names: .*simulate"):
         fusion_sfdia.simulat  # noqa: B018
 
 
 def test_a_public_name_is_that_of_its_object() -> None:
     """So that an error, a pickle and the documentation have one name for it."""
-    for name in fusion_sfdia.__all__:
-        assert getattr(getattr(fusion_sfdia, name), "__name__", name) == name
+    for module in PUBLIC:
+        for name in module.__all__:
+            assert getattr(getattr(module, name), "__name__", name).rpartition(".")[2] == name
+
+
+def test_no_two_public_names_differ_by_case_or_stand_twice() -> None:
+    for module in PUBLIC:
+        assert len({name.replace("_", "").lower() for name in module.__all__}) == len(module.__all__)
+    names = [name for module in PUBLIC for name in module.__all__]
+    assert len({*names}) == len(names)
+
+
+def test_a_former_name_warns_and_says_where_it_is() -> None:
+    with pytest.warns(DeprecationWarning, match=r"fusion_sfdia.RobustBank is fusion_sfdia.detectors.RobustBank now"):
+        assert fusion_sfdia.RobustBank is fusion_sfdia.detectors.RobustBank
+    with pytest.warns(DeprecationWarning, match=r"fusion_sfdia.inspect_plant is fusion_sfdia.inspect now"):
+        assert fusion_sfdia.inspect_plant is fusion_sfdia.inspect
 
 
 def test_the_command_runs_as_a_module(tmp_path: Path) -> None:

@@ -10,18 +10,8 @@ import numpy as np
 import pytest
 from toy_plants import Array, tanks
 
-from fusion_sfdia import (
-    BatchDetector,
-    LeaveOneOutBank,
-    Plant,
-    RobustBank,
-    Sensor,
-    Signal,
-    linear_plant,
-    run,
-    simulate,
-)
-from fusion_sfdia.detectors import registry
+from fusion_sfdia import Plant, Sensor, Signal, linear_plant, run, simulate
+from fusion_sfdia.detectors import BatchDetector, LeaveOneOutBank, RobustBank, registry
 from fusion_sfdia.detectors.state import leaves
 from fusion_sfdia.models.two_tanks.plant import two_tanks
 from fusion_sfdia.plant.log import Log

@@ -15,8 +15,10 @@ import fusion_sfdia
 from fusion_sfdia.cli.main import parser
 
 CELL = re.compile(r"^```\{code-cell\}\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-ENTRY = re.compile(r"^\.\. auto(?:class|function|exception):: fusion_sfdia\.(\w+)$", re.MULTILINE)
-NAMES = [name for name in fusion_sfdia.__all__ if not name.startswith("_")]
+ENTRY = re.compile(r"^\.\. auto(?:class|function|exception):: fusion_sfdia\.(?:\w+\.)?(\w+)$", re.MULTILINE)
+GROUPS = [getattr(fusion_sfdia, group) for group in fusion_sfdia._GROUPS]
+NAMES = [name for name in fusion_sfdia.__all__ if name not in ("__version__", *fusion_sfdia._GROUPS)]
+NAMES += [name for group in GROUPS for name in group.__all__]
 
 
 @pytest.fixture

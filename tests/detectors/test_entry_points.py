@@ -14,7 +14,7 @@ from fusion_sfdia.cli.main import main
 from fusion_sfdia.detectors import registry
 
 TANK = '''
-from fusion_sfdia import two_tanks
+from fusion_sfdia.plants import two_tanks
 
 def tank():
     """A tank of another package.
@@ -24,7 +24,8 @@ def tank():
     return two_tanks(outlet=1.1)
 '''
 TEST = '''
-from fusion_sfdia import CentralFilter, register_detector
+from fusion_sfdia import register_detector
+from fusion_sfdia.detectors import CentralFilter
 
 @register_detector("their-test", "a test of another package", memory="none", false_alarm=0.01)
 class Test(CentralFilter):

@@ -11,15 +11,16 @@ import numpy as np
 import pytest
 from toy_plants import chain
 
-from fusion_sfdia import CentralFilter, LeaveOneOutBank, Plant, two_tanks
+from fusion_sfdia import Plant
 from fusion_sfdia.common.references import load
-from fusion_sfdia.detectors import registry
+from fusion_sfdia.detectors import CentralFilter, LeaveOneOutBank, registry
 from fusion_sfdia.detectors.detector import Claims
+from fusion_sfdia.plants import two_tanks
 
 pytestmark = pytest.mark.usefixtures("registrations")
 
 TANK = """
-from fusion_sfdia import two_tanks
+from fusion_sfdia.plants import two_tanks
 
 PLANT = two_tanks()
 

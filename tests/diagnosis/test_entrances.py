@@ -19,7 +19,7 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
-from fusion_sfdia import check_log, diagnose, load_log, simulate
+from fusion_sfdia import diagnose, load_log, simulate
 from fusion_sfdia.cli.main import main
 from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors import registry
@@ -27,6 +27,7 @@ from fusion_sfdia.diagnosis.diagnose import Diagnosis
 from fusion_sfdia.diagnosis.events import Event
 from fusion_sfdia.diagnosis.prepared import prepared
 from fusion_sfdia.diagnosis.watch import Watch
+from fusion_sfdia.logs import check_log
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.log_report import as_text

@@ -10,7 +10,6 @@ import pytest
 from realistic_logs import vessel
 from toy_plants import tanks
 
-from fusion_sfdia import two_tanks
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.diagnosis.fault_draws import draw_apart
 from fusion_sfdia.diagnosis.fault_effects import apply_faults
@@ -20,6 +19,7 @@ from fusion_sfdia.logs.mix_ups import mix_up
 from fusion_sfdia.logs.suspects import suspected_units
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plants import two_tanks
 
 STEPS = 200
 

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fusion_sfdia import LeaveOneOutBank, Plant, audit, check_plant, diagnose, random_plant, simulate, two_tanks
-from fusion_sfdia.detectors import registry
+from fusion_sfdia import Plant, audit, check_plant, diagnose, simulate
+from fusion_sfdia.detectors import LeaveOneOutBank, registry
+from fusion_sfdia.plants import random_plant, two_tanks
 from fusion_sfdia.study.audit import GRACE, KINDS, lasting, outcomes, result_of
 from fusion_sfdia.study.error_protocol import CASES, Case, Trial, cases_for, trial
 from fusion_sfdia.study.truths import Variation, declared, varied

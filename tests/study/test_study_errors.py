@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from fusion_sfdia import two_tanks
 from fusion_sfdia.common.random_streams import stream
+from fusion_sfdia.plants import two_tanks
 from fusion_sfdia.study.errors import READING_ERRORS, autoregressive, in_steps, moving_average, with_a_late_sensor, with_jitter
 
 LONG = 200_000

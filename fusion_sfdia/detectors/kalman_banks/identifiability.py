@@ -46,7 +46,7 @@ LARGE, CONFOUNDED = 5.0, 0.9  # sigma and |rho| beyond which a limit is marked
 
 
 @dataclass(frozen=True, eq=False)
-class Identifiability:
+class IdentifiabilityResult:
     """The smallest sensor faults that a filter of the plant can detect; N sensors, P hypotheses of the process.
 
     All sizes (N,) are in standard deviations sigma of the sensor; inf where the readings do not show the fault. bias, drift:
@@ -134,7 +134,7 @@ def _apart(size: Array, rho: Array) -> Array:
         return np.asarray(size / np.sqrt(np.maximum(1.0 - np.max(np.abs(rho), axis=-1, initial=0.0) ** 2, 0.0)))
 
 
-def identifiability(plant: Plant, samples: float = 60, settle: int = 60) -> Identifiability:
+def identifiability(plant: Plant, samples: float = 60, settle: int = 60) -> IdentifiabilityResult:
     """State which sensor faults can be detected on a plant, and with which error of the model a bias is confounded.
 
     The extended Kalman filter runs along the usual operation (`plant.input_at`) from x0, without noise, on the plant alone and
@@ -150,7 +150,7 @@ def identifiability(plant: Plant, samples: float = 60, settle: int = 60) -> Iden
     alone = _limits(replace(plant, uncertainty=Uncertainty()), 0, whole_model.samples, settle) if added else whole_model
     sigma = plant.sensor_sigma
     units = sigma / np.sqrt(inflation_of(whole_model.samples, *plant.slow_noise))
-    return Identifiability(
+    return IdentifiabilityResult(
         plant=plant.name,
         sensors=plant.sensor_names,
         units=tuple(s.unit for s in plant.sensors),

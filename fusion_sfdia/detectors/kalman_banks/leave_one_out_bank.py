@@ -74,7 +74,7 @@ class LeaveOneOutBank(ExcludingBank):
     sensor is readmitted, otherwise until its samples have left the window. The sensors share it equally; with a window, one
     half is for the one-sample test and one half for the onsets. By Bonferroni it is a bound, for a correct model.
     max_faults: sensors that may be excluded at once (None: what the plant's redundancy allows, half of the
-    sensors or fewer, see `redundancy`; `inspect_plant` states it, and `Decision.capped` where it binds).
+    sensors or fewer, see `redundancy`; `inspect` states it, and `Decision.capped` where it binds).
     accommodate: leave out isolated sensors; without it the statistics are those of the filter on all sensors, for sweeps over
     the threshold.
     """

@@ -125,7 +125,7 @@ class RobustBank(ExcludingBank):
     the noise of a sensor, below which the windows isolate no sensor, since a model errs by as much: the alarm is undecided. A
     parameter or input must differ by `USUAL` of its prior standard deviation.
     max_faults: sensors that may be left out at once (None: what the plant's redundancy allows, half of the
-    sensors or fewer, see `redundancy`; `inspect_plant` states it, and `Decision.capped` where it binds).
+    sensors or fewer, see `redundancy`; `inspect` states it, and `Decision.capped` where it binds).
     accommodate: leave out isolated sensors and follow the process; without it the statistics are those of one filter, for
     sweeps over the threshold.
     """

@@ -66,7 +66,7 @@ class SequentialBank(ExcludingBank):
     false_alarm: probability that an alarm begins in one step with healthy sensors, shared equally by the sensors and rules
     (Bonferroni). It is a bound for a correct model, if the limits of the rules are exact.
     max_faults: sensors that may be excluded at once (None: what the plant's redundancy allows, half of the
-    sensors or fewer, see `redundancy`; `inspect_plant` states it, and `Decision.capped` where it binds).
+    sensors or fewer, see `redundancy`; `inspect` states it, and `Decision.capped` where it binds).
     accommodate: leave out isolated sensors; without it the statistics are those of the filter on all sensors, and no memory
     restarts.
     """

@@ -36,7 +36,7 @@ STEPS = 20
 
 def check_plant(plant: Any) -> None:
     """Run PLANT_CHECKS on a plant, given as in `registry.find_plant`. Raises AssertionError or ValueError with the reason and
-    the cure. They ask whether the functions keep the contract; `inspect_plant` states what can be diagnosed with them.
+    the cure. They ask whether the functions keep the contract; `inspect` states what can be diagnosed with them.
     """
     found = registry.plant(plant)
     for check in PLANT_CHECKS:

@@ -17,7 +17,7 @@ from fusion_sfdia.plant.plant import Plant
 Array = NDArray[Any]
 
 
-class Whiteness(NamedTuple):
+class WhitenessTest(NamedTuple):
     """nis: normalised innovation squared per reading, 1 where the covariances are right. Of each sensor (N,): variance of the
     standardised innovations, 1 as well; autocorrelation, at the sensor's next reading one step later, 0 where white; pairs,
     the number of products behind it. A white innovation's autocorrelation has the standard error 1 / sqrt(pairs).
@@ -29,7 +29,7 @@ class Whiteness(NamedTuple):
     pairs: Array
 
 
-def whiteness(plant: Plant, *healthy: Any, warm_up: int = 20) -> Whiteness:
+def whiteness(plant: Plant, *healthy: Any, warm_up: int = 20) -> WhitenessTest:
     """Return the statistics of the innovations of the extended Kalman filter after the first `warm_up` samples of one run.
 
     healthy: as `as_log` takes it, not the recording that the plant was identified from. A sensor that is read every second
@@ -57,4 +57,4 @@ def whiteness(plant: Plant, *healthy: Any, warm_up: int = 20) -> Whiteness:
     with np.errstate(invalid="ignore", divide="ignore"):
         variance = square / known.sum(axis=0)
         autocorrelation = products.sum(axis=0) / pairs / variance
-    return Whiteness(float(nis[warm_up:].sum() / count[warm_up:].sum()), variance, autocorrelation, pairs)
+    return WhitenessTest(float(nis[warm_up:].sum() / count[warm_up:].sum()), variance, autocorrelation, pairs)

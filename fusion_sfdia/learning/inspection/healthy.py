@@ -9,7 +9,7 @@ import numpy as np
 
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.diagnosis.diagnose import diagnose_run
-from fusion_sfdia.learning.identification.whiteness import Whiteness, whiteness
+from fusion_sfdia.learning.identification.whiteness import WhitenessTest, whiteness
 from fusion_sfdia.learning.inspection.plant_findings import REMARK, Finding
 from fusion_sfdia.plant.augment import fixed
 from fusion_sfdia.plant.log import Log
@@ -23,7 +23,7 @@ class OnHealthy(NamedTuple):
     """The innovations of a Kalman filter on the log, and the events of a detector in it."""
 
     samples: int
-    white: Whiteness
+    white: WhitenessTest
     detector: str
     events: tuple[str, ...]
 

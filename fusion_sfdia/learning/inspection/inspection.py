@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fusion_sfdia.detectors.kalman_banks.identifiability import Identifiability
+from fusion_sfdia.detectors.kalman_banks.identifiability import IdentifiabilityResult
 from fusion_sfdia.learning.inspection.detectability import CASES, Tried
 from fusion_sfdia.learning.inspection.healthy import OnHealthy
 from fusion_sfdia.learning.inspection.observability import Observability
@@ -23,7 +23,7 @@ WIDTH = 110
 
 @dataclass(frozen=True, repr=False)
 class Inspection:
-    """What `inspect_plant` found: findings, the mistakes first, and what they rest on; None where it was not examined.
+    """What `inspect` found: findings, the mistakes first, and what they rest on; None where it was not examined.
 
     derivatives: how the Jacobians of step and output are found.
     """
@@ -33,7 +33,7 @@ class Inspection:
     derivatives: tuple[str, str] = ("", "")
     step: Stepping | None = None
     readings: Observability | None = None
-    theory: Identifiability | None = None
+    theory: IdentifiabilityResult | None = None
     promise: Promise | None = None
     detectors: tuple[Tried, ...] = ()
     structure: Structural | None = None

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.detectors.kalman_banks.identifiability import Identifiability, identifiability
+from fusion_sfdia.detectors.kalman_banks.identifiability import IdentifiabilityResult, identifiability
 from fusion_sfdia.detectors.kalman_banks.robust_bank import RobustBank
 from fusion_sfdia.plant.plant import Plant
 
@@ -34,7 +34,7 @@ class Promise(NamedTuple):
     drift: Array
 
 
-def promised(plant: Plant, theory: Identifiability) -> Promise:
+def promised(plant: Plant, theory: IdentifiabilityResult) -> Promise:
     """What `robust-glr` isolates on a plant. theory: that of the plant within `GROWTH` samples.
 
     ValueError as `identifiability` raises it.

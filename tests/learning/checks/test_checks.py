@@ -11,7 +11,8 @@ import pytest
 from process_bank import OUTLET, ProcessBank
 from toy_plants import Array, chain, changed, tanks
 
-from fusion_sfdia import BatchDetector, CentralFilter, Decision, Plant, State, TimeStep, check_detector, check_plant
+from fusion_sfdia import Plant, check_detector, check_plant
+from fusion_sfdia.detectors import BatchDetector, CentralFilter, Decision, State, TimeStep
 from fusion_sfdia.detectors.detector import ProcessHypothesis
 from fusion_sfdia.detectors.state import leaves
 from fusion_sfdia.plant.uncertainty import Parameter, Uncertainty

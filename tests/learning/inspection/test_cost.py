@@ -9,7 +9,7 @@ import pytest
 from toy_plants import Array, chain, tanks
 
 from fusion_sfdia.learning.inspection.cost import Cost, cost, of_cost
-from fusion_sfdia.learning.inspection.inspect_plant import inspect_plant
+from fusion_sfdia.learning.inspection.inspect import inspect
 
 
 def test_a_fast_model_has_no_remark() -> None:
@@ -57,5 +57,5 @@ def test_the_clock_is_that_of_the_calls() -> None:
 
 
 def test_an_inspection_states_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fusion_sfdia.learning.inspection.inspect_plant.cost", lambda plant: Cost(2e-3, 2e-3, 2e-3))
-    assert "speed" in {f.about for f in inspect_plant(chain(3), simulated=False).findings}
+    monkeypatch.setattr("fusion_sfdia.learning.inspection.inspect.cost", lambda plant: Cost(2e-3, 2e-3, 2e-3))
+    assert "speed" in {f.about for f in inspect(chain(3), simulated=False).findings}

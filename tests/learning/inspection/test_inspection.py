@@ -13,12 +13,13 @@ import pytest
 from optional_packages import needs_toolbox
 from toy_plants import Array, chain, tanks
 
-from fusion_sfdia import Numerics, Physics, Plant, Sensor, Signal, SlowNoise, discretise, inspect_plant, linear_plant, simulate
+from fusion_sfdia import Physics, Plant, Sensor, Signal, discretise, inspect, linear_plant, simulate
 from fusion_sfdia.detectors.registry import NamedDetector, detector
 from fusion_sfdia.learning.inspection.inspection import as_json, as_text
 from fusion_sfdia.learning.inspection.steady import of_start
 from fusion_sfdia.plant.augment import augment
 from fusion_sfdia.plant.uncertainty import Disturbance, Uncertainty
+from fusion_sfdia.plants import Numerics, SlowNoise
 
 INFLOW = Signal("inflow", "m/s", nominal=0.01)
 
@@ -83,7 +84,7 @@ def broadcast(t: float, x: Array, u: Array, dt: float) -> Array:
 
 
 def test_mistakes_come_first_and_nothing_else_is_examined() -> None:
-    found = inspect_plant(plant(broadcast, output=lambda t, x, u: readings(t, x, u)))
+    found = inspect(plant(broadcast, output=lambda t, x, u: readings(t, x, u)))
     assert found.verdict == "tanks in a row: NOT READY, 2 mistakes to correct"
     one, other = found.mistakes
     assert "a single derivative was broadcast to all states; give one for each, np.stack([...], axis=-1)" in one.text
@@ -109,13 +110,13 @@ def test_mistakes_come_first_and_nothing_else_is_examined() -> None:
     ids=lambda value: value if isinstance(value, str) else "",
 )  # fmt: skip
 def test_what_limits_the_diagnosis_is_stated_with_its_cure(made: Plant, about: str, text: str) -> None:
-    found = [f for f in inspect_plant(made, simulated=False).findings if f.about == about]
+    found = [f for f in inspect(made, simulated=False).findings if f.about == about]
     assert any(re.search(text, f.text) for f in found), found
 
 
 def test_a_stated_limit_is_not_asked_for() -> None:
     stated = plant(levels, numerics=Numerics(max_dt=60.0))
-    assert not any("max_dt" in f.text for f in inspect_plant(stated, simulated=False).findings)
+    assert not any("max_dt" in f.text for f in inspect(stated, simulated=False).findings)
 
 
 def stiff(substeps: int, t: float, x: Array, u: Array, dt: float) -> Array:
@@ -135,7 +136,7 @@ def of_step_in(substeps: int, own: bool) -> list[str]:
     physics = Physics("tanks", made.states, slope, made.inputs)
     sensors = [replace(s, measures=s.name[:5]) for s in made.sensors]
     found = made if own else discretise(physics, sensors, dt=5.0, process_cov=np.full(2, 1e-18), substeps=substeps)
-    texts = [f.text for f in inspect_plant(found, simulated=False).findings]
+    texts = [f.text for f in inspect(found, simulated=False).findings]
     return [text for text in texts if "substeps" in text and "rows a second" not in text]
 
 
@@ -154,7 +155,7 @@ def test_a_nominal_state_in_another_unit_is_seen_by_its_movement() -> None:
     """A level of 1000 mm in place of 1 m: the other falls and rises by far more than is not known of the start."""
     made = plant(levels)
     wrong = replace(made, x0=np.array([1000.0, 1.0]), states=tuple(replace(s, nominal=0.0) for s in made.states))
-    (start,) = [f.text for f in inspect_plant(wrong, simulated=False).remarks if f.about == "start"]
+    (start,) = [f.text for f in inspect(wrong, simulated=False).remarks if f.about == "start"]
     assert start.startswith("with the usual inputs the nominal state is not steady: upper moves by -50 m in a step of 5 s")
 
 
@@ -182,7 +183,7 @@ def counter(sensors: int) -> Plant:
 
 
 def test_a_sensor_that_is_never_used_again_on_its_own_is_listed() -> None:
-    found = inspect_plant(counter(1), detectors=["loo-glr"], sensors=["sum_1"])
+    found = inspect(counter(1), detectors=["loo-glr"], sensors=["sum_1"])
     assert found.kept_out == ("sum_1",)
     assert "never on their own: sum_1" in str(found)
     needed = [
@@ -192,18 +193,18 @@ def test_a_sensor_that_is_never_used_again_on_its_own_is_listed() -> None:
         and "only this sensor determines sum: the figures on its faults take the plant as modelled" in f.text
     ]
     assert len(needed) == 1
-    assert inspect_plant(counter(2), simulated=False).kept_out == ()
+    assert inspect(counter(2), simulated=False).kept_out == ()
 
 
 def test_a_detector_whose_alarms_latch_is_named_with_readmit() -> None:
-    found = inspect_plant(tanks(), detectors=["adaptive-threshold", "loo-glr"], sensors=["q2"])
+    found = inspect(tanks(), detectors=["adaptive-threshold", "loo-glr"], sensors=["q2"])
     latching, other = found.detectors
     assert latching.kept_out == ("q2",) and other.kept_out == ()
     assert any(f.about == "q2" and "state = detector.readmit(state, sensor)" in f.text for f in found.remarks)
 
 
 def test_a_detector_that_isolates_fewer_sensors_than_the_plant_allows_is_named() -> None:
-    found = inspect_plant(plant(levels), detectors=["kf-chi2", "loo-glr", "pca"], sensors=["upper_1"])
+    found = inspect(plant(levels), detectors=["kf-chi2", "loo-glr", "pca"], sensors=["upper_1"])
     assert [of.most_faults for of in found.detectors] == [1, 2, 3]
     assert "at once, at most: kf-chi2 1, loo-glr 2, pca 3" in str(found)
     (limited,) = [f for f in found.remarks if "at once, where the plant allows 2" in f.text]
@@ -211,7 +212,7 @@ def test_a_detector_that_isolates_fewer_sensors_than_the_plant_allows_is_named()
 
 
 def test_theory_and_simulation_agree_on_the_tanks() -> None:
-    found = inspect_plant("two-tanks", detectors=["loo-glr", "robust-glr"])
+    found = inspect("two-tanks", detectors=["loo-glr", "robust-glr"])
     assert not found.mistakes and found.verdict == "two-tanks: ready for diagnosis"
     theory = found.theory
     assert theory is not None
@@ -230,17 +231,17 @@ def test_theory_and_simulation_agree_on_the_tanks() -> None:
 
 
 def test_what_a_detector_cannot_do_is_stated() -> None:
-    (found,) = inspect_plant(plant(levels), detectors=["structural-residuals"], sensors=["upper_1"]).detectors
+    (found,) = inspect(plant(levels), detectors=["structural-residuals"], sensors=["upper_1"]).detectors
     assert "does not state its scalar equations" in found.left_out
-    text = as_text(inspect_plant(plant(levels), detectors=["structural-residuals"], sensors=["upper_1"]))
+    text = as_text(inspect(plant(levels), detectors=["structural-residuals"], sensors=["upper_1"]))
     assert "simulated for" not in text and "structural-residuals: plant 'tanks in a row'" in " ".join(text.split())
 
 
 @needs_toolbox
 def test_the_pattern_of_the_equations_tells_what_sizes_cannot() -> None:
-    pair = inspect_plant(plant(uncoupled, of_upper, 2), simulated=False).structure
+    pair = inspect(plant(uncoupled, of_upper, 2), simulated=False).structure
     assert pair is not None and pair.groups == ()
-    row = inspect_plant(plant(levels), simulated=False).structure
+    row = inspect(plant(levels), simulated=False).structure
     assert row is not None and row.undetectable == () and row.groups == ()
 
 
@@ -248,24 +249,24 @@ def test_a_healthy_log_shows_noise_that_is_stated_wrongly() -> None:
     made = plant(levels)
     noisier = replace(made, sensors=tuple(replace(s, sigma=0.03 if s.name == "lower_2" else s.sigma) for s in made.sensors))
     log = simulate(noisier, 300, seeds=[7], process_noise=True)
-    found = inspect_plant(made, log, simulated=False)
+    found = inspect(made, log, simulated=False)
     assert found.healthy is not None and found.healthy.samples == 300
     assert any(f.about == "lower_2" and "differ from their predictions by" in f.text for f in found.remarks)
-    right = inspect_plant(made, simulate(made, 300, seeds=[7], process_noise=True), simulated=False)
+    right = inspect(made, simulate(made, 300, seeds=[7], process_noise=True), simulated=False)
     assert not [f for f in right.remarks if "healthy" in f.text]
 
 
 def test_slow_noise_is_stated_and_raises_what_can_be_detected() -> None:
     made = plant(levels)
     slow = replace(made, sensors=tuple(replace(s, noise=SlowNoise(0.5, 40.0)) for s in made.sensors))
-    found, white = (inspect_plant(p, detectors=["loo-glr"], sensors=["upper_1"], simulated=False) for p in (slow, made))
+    found, white = (inspect(p, detectors=["loo-glr"], sensors=["upper_1"], simulated=False) for p in (slow, made))
     assert ", 50 % slow (40 s)" in as_text(found) and " % slow" not in as_text(white)
     assert found.theory is not None and white.theory is not None
     assert (found.theory.bias > 2 * white.theory.bias).all()
 
 
 def test_json_has_all_of_it_and_no_infinity() -> None:
-    found = inspect_plant(plant(levels), detectors=["loo-glr"], sensors=["upper_1"])
+    found = inspect(plant(levels), detectors=["loo-glr"], sensors=["upper_1"])
     text = json.dumps(as_json(found), allow_nan=False)
     back = json.loads(text)
     assert back["ready"] is True and back["verdict"] == found.verdict
@@ -275,16 +276,16 @@ def test_json_has_all_of_it_and_no_infinity() -> None:
 
 def test_names_that_are_unknown_are_refused() -> None:
     with pytest.raises(ValueError, match="unknown sensor 'x9' of plant 'chain'"):
-        inspect_plant(chain(3), sensors=["x9"])
+        inspect(chain(3), sensors=["x9"])
     with pytest.raises(ValueError, match="unknown detector 'loo-grl'"):
-        inspect_plant(chain(3), detectors=["loo-grl"])
+        inspect(chain(3), detectors=["loo-grl"])
 
 
 def test_a_log_is_predicted_along_the_disturbances_that_tuning_has_learnt() -> None:
     ramp = Disturbance("leak", state=np.array([0.0, 0.005]), reading=np.zeros(4), sd=1.0, time_constant=500.0)
     made = replace(plant(levels), uncertainty=Uncertainty(disturbances=(ramp,)))
     log = simulate(made, 300, seeds=[7], truth=augment(made), process_noise=True)
-    within, without = (inspect_plant(p, log, simulated=False).healthy for p in (made, plant(levels)))
+    within, without = (inspect(p, log, simulated=False).healthy for p in (made, plant(levels)))
     assert within is not None and without is not None
     assert abs(within.white.nis - 1) < 4 * np.sqrt(2 / (280 * 4)) < without.white.nis - 1
 
@@ -293,7 +294,7 @@ def test_the_tuned_detector_stands_in_place_of_the_registered_one() -> None:
     made = plant(levels)
     deaf = NamedDetector("loo-glr", "as tuned", lambda of: replace(detector("loo-glr", of), threshold_scale=1e6))
     log = simulate(made, 300, seeds=[7], process_noise=True)
-    found = inspect_plant(made, log, detectors=["kf-chi2", "loo-glr"], sensors=["upper_1"], tuned=deaf)
+    found = inspect(made, log, detectors=["kf-chi2", "loo-glr"], sensors=["upper_1"], tuned=deaf)
     assert [t.detector for t in found.detectors] == ["loo-glr", "kf-chi2"]
     assert max(t.found for t in found.detectors[0].trials) == 0 < max(t.found for t in found.detectors[1].trials)
     assert found.healthy is not None and found.healthy.detector == "loo-glr" and found.healthy.events == ()

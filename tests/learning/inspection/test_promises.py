@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fusion_sfdia import Plant, RobustBank, random_plant, simulate
-from fusion_sfdia.detectors import registry
+from fusion_sfdia import Plant, simulate
+from fusion_sfdia.detectors import RobustBank, registry
 from fusion_sfdia.detectors.kalman_banks.identifiability import identifiability
 from fusion_sfdia.learning.inspection.promises import BIAS_WITHIN, DRIFT_WITHIN, GROWTH, LEAST_BIAS, LEAST_DRIFT, promised
+from fusion_sfdia.plants import random_plant
 
 RUNS, MET = 20, 18
 STEPS, FIRST, LAST = 190, 60, 100  # samples, and between which a fault begins

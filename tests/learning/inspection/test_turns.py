@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from turning_car import TURN, car
 
-from fusion_sfdia import Plant, Sensor, Signal, inspect_plant
+from fusion_sfdia import Plant, Sensor, Signal, inspect
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.learning.inspection.turns import beyond_a_turn, of_turns, turns
 
@@ -56,6 +56,6 @@ def test_the_plants_of_the_package_have_none(name: str) -> None:
 
 
 def test_inspect_states_it() -> None:
-    found = inspect_plant(car("modulo in the output", period=None), simulated=False)
+    found = inspect(car("modulo in the output", period=None), simulated=False)
     assert any("Signal(period=360) of heading" in f.text for f in found.remarks)
-    assert not any("Signal(period" in f.text for f in inspect_plant(car("modulo in the output"), simulated=False).findings)
+    assert not any("Signal(period" in f.text for f in inspect(car("modulo in the output"), simulated=False).findings)

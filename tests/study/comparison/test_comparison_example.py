@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fusion_sfdia import LeaveOneOutBank, simulate, two_tanks
+from fusion_sfdia import simulate
+from fusion_sfdia.detectors import LeaveOneOutBank
 from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plants import two_tanks
 from fusion_sfdia.study.comparison.example import NOTHING, PREFIX, RIGHT, SIGMAS, WRONG, example
 from fusion_sfdia.study.comparison.example_figure import VERDICTS, draw_example
 from fusion_sfdia.study.comparison.looks import MOST_NAMED, NAMED, looks, prominent, quieted

@@ -1,4 +1,4 @@
-"""`inspect_plant`: what can be diagnosed with a plant, before any fault."""
+"""`inspect`: what can be diagnosed with a plant, before any fault."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from fusion_sfdia.detectors import registry
-from fusion_sfdia.detectors.kalman_banks.identifiability import CONFOUNDED, Identifiability, identifiability
+from fusion_sfdia.detectors.kalman_banks.identifiability import CONFOUNDED, IdentifiabilityResult, identifiability
 from fusion_sfdia.learning.inspection.cost import cost, of_cost
 from fusion_sfdia.learning.inspection.detectability import DETECTORS, Tried, tried
 from fusion_sfdia.learning.inspection.feedthrough import feedthrough, of_feedthrough
@@ -32,7 +32,7 @@ FAST = ("loo-glr", "chebyshev", "pca")
 LATE = 0.1  # share of healthy samples in which a detector isolates a sensor, above which its results mean little
 
 
-def inspect_plant(
+def inspect(
     plant: Any,
     healthy: Any = None,
     *,
@@ -123,7 +123,7 @@ def _derivatives(plant: Plant) -> tuple[str, str]:
     return step, output
 
 
-def of_theory(theory: Identifiability) -> Iterator[Finding]:
+def of_theory(theory: IdentifiabilityResult) -> Iterator[Finding]:
     """Sensors whose fault looks like an error of the model, or like the fault of another sensor."""
     for text in theory.warnings:
         about, _, what = text.partition(": ")

@@ -1,0 +1,23 @@
+"""Public names of a module that are imported at their first use: those of the .pyi beside it, which type checkers read, too."""
+
+import ast
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+
+def public_names(name: str, file: str) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
+    """Return `__all__`, `__getattr__` and `__dir__` of the module `name` in `file`; AttributeError for any other name."""
+    tree = ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8"))
+    modules = {alias.name: str(n.module) for n in tree.body if isinstance(n, ast.ImportFrom) for alias in n.names}
+
+    def get(wanted: str) -> Any:
+        if wanted not in modules:
+            raise AttributeError(f"module {name!r} has no attribute {wanted!r}; public names: {', '.join(modules)}")
+        value = getattr(import_module(modules[wanted]), wanted)
+        setattr(sys.modules[name], wanted, value)
+        return value
+
+    return [*modules], get, lambda: sorted(modules)

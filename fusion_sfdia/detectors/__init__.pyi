@@ -1,0 +1,37 @@
+# The public names of this module, which reads this file to find them, and so do type checkers.
+
+from fusion_sfdia.detectors.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold as AdaptiveThreshold
+from fusion_sfdia.detectors.adaptive_thresholds.virtual_sensors import VirtualSensors as VirtualSensors
+from fusion_sfdia.detectors.batch_detector import BatchDetector as BatchDetector
+from fusion_sfdia.detectors.batch_detector import TimeStep as TimeStep
+from fusion_sfdia.detectors.data_driven.ewma_limits import EwmaLimits as EwmaLimits
+from fusion_sfdia.detectors.data_driven.fixed_limits import FixedLimits as FixedLimits
+from fusion_sfdia.detectors.data_driven.one_class import OneClass as OneClass
+from fusion_sfdia.detectors.data_driven.pca import PrincipalComponents as PrincipalComponents
+from fusion_sfdia.detectors.detector import Decision as Decision
+from fusion_sfdia.detectors.detector import Detector as Detector
+from fusion_sfdia.detectors.detector import ProcessHypothesis as ProcessHypothesis
+from fusion_sfdia.detectors.kalman_banks.area_banks import RobustAreas as RobustAreas
+from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter as CentralFilter
+from fusion_sfdia.detectors.kalman_banks.fusing_bank import FusingBank as FusingBank
+from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank as LeaveOneOutBank
+from fusion_sfdia.detectors.kalman_banks.moving_horizon_bank import MovingHorizon as MovingHorizon
+from fusion_sfdia.detectors.kalman_banks.multiple_model import MultipleModel as MultipleModel
+from fusion_sfdia.detectors.kalman_banks.particle_filter import ParticleFilter as ParticleFilter
+from fusion_sfdia.detectors.kalman_banks.robust_bank import RobustBank as RobustBank
+from fusion_sfdia.detectors.kalman_banks.sequential_bank import SequentialBank as SequentialBank
+from fusion_sfdia.detectors.kalman_banks.sequential_rules import Cusum as Cusum
+from fusion_sfdia.detectors.kalman_banks.sequential_rules import Ewma as Ewma
+from fusion_sfdia.detectors.kalman_banks.sequential_rules import Shewhart as Shewhart
+from fusion_sfdia.detectors.kalman_banks.sequential_rules import SumOfSquares as SumOfSquares
+from fusion_sfdia.detectors.kalman_banks.unknown_input import UnknownInputFilter as UnknownInputFilter
+from fusion_sfdia.detectors.state import State as State
+from fusion_sfdia.detectors.stochastic_thresholds.chebyshev import Chebyshev as Chebyshev
+from fusion_sfdia.detectors.stochastic_thresholds.fault_hypotheses import FaultHypotheses as FaultHypotheses
+from fusion_sfdia.detectors.stochastic_thresholds.guarantees import detectable as detectable
+from fusion_sfdia.detectors.stochastic_thresholds.guarantees import excludable as excludable
+from fusion_sfdia.detectors.stochastic_thresholds.guarantees import exclusion_error as exclusion_error
+from fusion_sfdia.detectors.stochastic_thresholds.replug import replug as replug
+from fusion_sfdia.detectors.storage import load_state as load_state
+from fusion_sfdia.detectors.storage import save_state as save_state
+from fusion_sfdia.detectors.structural_residuals.structural_residuals import StructuralResiduals as StructuralResiduals

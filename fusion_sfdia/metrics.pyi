@@ -1,0 +1,6 @@
+# The public names of this module, which reads this file to find them, and so do type checkers.
+
+from fusion_sfdia.study.audit import AuditResult as AuditResult
+from fusion_sfdia.study.comparison.compare import ComparisonResult as ComparisonResult
+from fusion_sfdia.study.detection_metrics import RocCurve as RocCurve
+from fusion_sfdia.study.detection_metrics import auc as auc
