@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.speed.support.calls import Call, repeated_step, time_row, timed, timed_rows
 from fusion_sfdia.detectors import registry
-from fusion_sfdia.diagnosis.recorded import diagnose
+from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.signals import Sensor, Signal

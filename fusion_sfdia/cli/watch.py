@@ -190,8 +190,8 @@ def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap) -> Non
             continue
         if row is not None:
             watch.unread.update(rows.absent)
-            saved.take(*row)
-    saved.rest()
+            saved.update(*row)
+    saved.finish()
     rows.end()
 
 

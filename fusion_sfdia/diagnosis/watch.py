@@ -160,12 +160,12 @@ class Watch:
         self.order = InOrder(number("reorder", reorder), self.longest_gap, refused, keep_last, detector.plant.dt)
 
     def events(self, rows: Iterable[tuple[float | datetime, Any, Any]]) -> Iterator[Change]:
-        """What rows (t, y, u), see `take`, decide, each as soon as its row is taken."""
+        """What rows (t, y, u), see `update`, decide, each as soon as its row is taken."""
         for row in rows:
-            for sample in self.take(*row):
+            for sample in self.update(*row):
                 yield from sample.changes
 
-    def take(self, t: float | datetime, y: Any, u: Any = ()) -> tuple[Sample, ...]:
+    def update(self, t: float | datetime, y: Any, u: Any = ()) -> tuple[Sample, ...]:
         """Diagnose the readings y (N,) at t, NaN where missing, with the inputs u (m,), see `at_sample`.
 
         t: in seconds, or all rows as time stamps, which become seconds since the first. Returns the rows diagnosed: this one,
@@ -178,9 +178,19 @@ class Watch:
             return ()
         return self._in_turn(self.order.push(row, self.t, self.clock))
 
-    def rest(self) -> tuple[Sample, ...]:
+    def finish(self) -> tuple[Sample, ...]:
         """Diagnose the rows that are held for their order, at the end of the input; what comes later is late."""
         return self._in_turn(self.order.rest(self.t, self.clock))
+
+    def take(self, t: float | datetime, y: Any, u: Any = ()) -> tuple[Sample, ...]:
+        """The former name of `update`."""
+        warnings.warn("Watch.take is Watch.update now; the next release knows it by that alone", DeprecationWarning, 2)
+        return self.update(t, y, u)
+
+    def rest(self) -> tuple[Sample, ...]:
+        """The former name of `finish`."""
+        warnings.warn("Watch.rest is Watch.finish now; the next release knows it by that alone", DeprecationWarning, 2)
+        return self.finish()
 
     def last(self) -> list[Change]:
         """What the second look would report if no row came any more; the watch stays as it is."""

@@ -211,7 +211,13 @@ def one_class(plant: Plant, healthy: Any = None, false_alarm: float = FALSE_ALAR
     return OneClass.fit(plant, settled_readings(plant, false_alarm) if healthy is None else healthy, false_alarm)
 
 
-def fit(name: str, plant: Plant | str, healthy: Any = None, false_alarm: float = FALSE_ALARM, **unknown: Any) -> Detector:
+def fit(
+    name: str | registry.NamedDetector,
+    plant: Plant | str,
+    healthy: Any = None,
+    false_alarm: float = FALSE_ALARM,
+    **unknown: Any,
+) -> Detector:
     """The registered detector of that name, fitted to healthy readings; one that does not learn gets its thresholds from them.
 
     The counterpart of `BatchDetector.fit` for names. healthy: as `as_log` takes it; None for simulated runs of the plant,

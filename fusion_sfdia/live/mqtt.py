@@ -138,7 +138,7 @@ class Bridge:
             if message.arrived is None:
                 value = value._replace(arrived=self.now(), retained=True)
             for row in self.rows.take(name, value):
-                for sample in self.saved.take(*row):
+                for sample in self.saved.update(*row):
                     self._publish(sample)
 
     def _publish(self, sample: Sample) -> None:

@@ -106,7 +106,7 @@ class Bridge:
                 self.check(found)
                 checked = True
             if (row := self.row(found, self.now())) is not None:
-                for sample in self.saved.take(*row):
+                for sample in self.saved.update(*row):
                     await self._write(client, sample)
             await self._report(client)
             await asyncio.sleep(self.period)

@@ -40,16 +40,16 @@ class SavedWatch:
         if self.path is not None:
             _ = self.watch.identity  # while the model works: a save may come when it fails
 
-    def take(self, t: float | datetime, y: Any, u: Any) -> tuple[Sample, ...]:
-        """Diagnose a row as `Watch.take`, write its lines, and save where it is time."""
+    def update(self, t: float | datetime, y: Any, u: Any) -> tuple[Sample, ...]:
+        """Diagnose a row as `Watch.update`, write its lines, and save where it is time."""
         with self.undivided():
             self.whole = False
-            return self._written(self.watch.take(t, y, u))
+            return self._written(self.watch.update(t, y, u))
 
-    def rest(self) -> tuple[Sample, ...]:
-        """At the end of the input, the same for the rows that `Watch.rest` diagnoses, and the lines of `Watch.last`."""
+    def finish(self) -> tuple[Sample, ...]:
+        """At the end of the input, the same for the rows that `Watch.finish` diagnoses, and the lines of `Watch.last`."""
         self.whole = False
-        found = self._written(self.watch.rest())
+        found = self._written(self.watch.finish())
         for change in self.watch.last():
             self.write(change_line(change, self.watch.clock))
         return found

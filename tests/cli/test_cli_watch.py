@@ -18,7 +18,7 @@ from toy_plants import readings, tanks
 
 from fusion_sfdia.cli.main import main
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.diagnosis.recorded import diagnose
+from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.logs.csv_log import write_log
 from fusion_sfdia.logs.reading import load_log
 from fusion_sfdia.plant.plant import Plant

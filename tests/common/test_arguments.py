@@ -19,9 +19,9 @@ from fusion_sfdia.detectors.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.detectors.kalman_banks.particle_filter import ParticleFilter
 from fusion_sfdia.detectors.state import leaves
+from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.diagnosis.fault_effects import apply_faults
 from fusion_sfdia.diagnosis.faults import Fault
-from fusion_sfdia.diagnosis.recorded import diagnose
 from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.filters.enkf import EnKFSettings
 from fusion_sfdia.filters.estimators import Ensemble, Extended, Unscented

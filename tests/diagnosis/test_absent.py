@@ -7,9 +7,9 @@ import pytest
 from toy_plants import readings, tanks
 
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.diagnosis.absent import dropouts, repeats
 from fusion_sfdia.diagnosis.diagnose import DiagnosisWarning
-from fusion_sfdia.diagnosis.recorded import diagnose
 
 NOISE = np.random.default_rng(0).standard_normal((200, 3))
 

@@ -33,7 +33,7 @@ def rows_of(steps: int = 60, seed: int = 1) -> Rows:
 
 
 def taken(watch: Watch, rows: Rows) -> list[Sample]:
-    return [sample for row in rows for sample in watch.take(*row)]
+    return [sample for row in rows for sample in watch.update(*row)]
 
 
 def sight(samples: list[Sample]) -> list[Change]:

@@ -13,10 +13,10 @@ from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.detectors.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.detectors.stochastic_thresholds.chebyshev import Chebyshev
+from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.diagnosis.diagnose import DiagnosisWarning, diagnose_run
 from fusion_sfdia.diagnosis.fault_effects import apply_faults
 from fusion_sfdia.diagnosis.faults import Fault
-from fusion_sfdia.diagnosis.recorded import diagnose
 from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.filters.estimators import Extended
 from fusion_sfdia.learning.builders import fit

@@ -321,7 +321,7 @@ def row_by_row(plant: Plant, path: Path, detector: str, found: Diagnosis, checke
     judged = prepared(registry.detector(detector, plant), checked, lambda p: registry.detector(detector, p))
     said: list[str] = []
     watch = Watch(judged.detector, unread=judged.unread, refused=said.append)
-    samples = [s for row in zip(*checked.log, strict=True) for s in watch.take(*row)] + [*watch.rest()]
+    samples = [s for row in zip(*checked.log, strict=True) for s in watch.update(*row)] + [*watch.finish()]
     changes = [c for s in samples for c in s.changes] + watch.last()
     if late := [text.partition(" is late by")[0] for text in found.of_log if " is late by" in text]:
         assert [line.partition(" is late by")[0] for line in said if " is late by" in line] == late

@@ -12,6 +12,7 @@ from toy_plants import readings, tanks
 
 from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.diagnosis.diagnose import Diagnosis, against_the_model
 from fusion_sfdia.diagnosis.events import (
     Event,
@@ -24,7 +25,6 @@ from fusion_sfdia.diagnosis.events import (
     verdict,
     with_spread,
 )
-from fusion_sfdia.diagnosis.recorded import diagnose
 
 NEVER = 10**6
 PLANT = tanks()

@@ -9,7 +9,7 @@ import pytest
 
 from fusion_sfdia.common.equation import difference_jacobian
 from fusion_sfdia.detectors import registry
-from fusion_sfdia.diagnosis.recorded import diagnose
+from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.learning.checks.plants import check_plant
 from fusion_sfdia.plant.plant import Plant

@@ -38,9 +38,9 @@ def lines_of(watch: Watch, rows: Rows, *, rest: bool = True) -> list[str]:
     found: list[str] = []
     saved = SavedWatch(watch, found.append, samples=True)
     for row in rows:
-        saved.take(*row)
+        saved.update(*row)
     if rest:
-        saved.rest()
+        saved.finish()
     return found
 
 
@@ -103,7 +103,7 @@ def test_killed_with_rows_held_and_started_again_it_writes_the_same_lines(again:
         found: list[str] = []
         first = SavedWatch(Watch(bank(), **settings), found.append, tmp_path / "s", every=10, samples=True)
         for row in rows[:cut]:
-            first.take(*row)
+            first.update(*row)
         assert first.watch.order.held  # not in the state
         if cut == 3:
             assert not (tmp_path / "s").exists()
@@ -122,13 +122,13 @@ def test_of_rows_that_are_held_the_last_of_a_time_counts_where_that_is_asked_for
     said: list[str] = []
     watch = Watch(bank(), reorder=15.0, keep_last=keep_last, refused=said.append)
     corrected = [row for t, y, u in rows_of(20) for row in ((t, y + 1.0, u), (t, y, u))]  # the first of each pair is wrong
-    found = [s for row in corrected for s in watch.take(*row)] + list(watch.rest())
+    found = [s for row in corrected for s in watch.update(*row)] + list(watch.finish())
     offset = 0.0 if keep_last else 1.0
     for sample, (t, y, _) in zip(found, rows_of(20), strict=True):
         assert sample.t == t and np.array_equal(sample.y, y + offset)
     kept = "last" if keep_last else "first"
     assert set(said) == {f"1 duplicate dropped, the {kept} row of each time kept"} and len(said) == 20
-    assert not watch.take(*rows_of(20)[-1]) and watch.order.again["first"] == 1  # it is diagnosed
+    assert not watch.update(*rows_of(20)[-1]) and watch.order.again["first"] == 1  # it is diagnosed
 
 
 @pytest.mark.parametrize("steps", [6, 40, 9_000, 10**7])

@@ -11,9 +11,9 @@ import pytest
 from toy_plants import readings, tanks
 
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.diagnosis.changes import Change
 from fusion_sfdia.diagnosis.events import Event
-from fusion_sfdia.diagnosis.recorded import diagnose
 from fusion_sfdia.diagnosis.second_look import EACH, WINDOW
 from fusion_sfdia.diagnosis.watch import Watch
 
@@ -44,7 +44,7 @@ def diagnosed(rows: Rows, detector: Any) -> Any:
 
 
 def changes_of(watch: Watch, rows: Rows, *, last: bool = True) -> list[Change]:
-    found = [change for row in rows for sample in watch.take(*row) for change in sample.changes]
+    found = [change for row in rows for sample in watch.update(*row) for change in sample.changes]
     return [*found, *watch.last()] if last else found
 
 

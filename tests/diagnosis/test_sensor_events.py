@@ -14,9 +14,9 @@ from toy_plants import readings, tanks
 from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors.detector import Claims, Decision
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.diagnosis.diagnose import Diagnosis, diagnose_run
 from fusion_sfdia.diagnosis.model_health import limit_of
-from fusion_sfdia.diagnosis.recorded import diagnose
 from fusion_sfdia.diagnosis.sensor_events import (
     alarm_rate_of,
     false_alarm_of,

@@ -35,8 +35,8 @@ def recorded(plant: Plant, rows: int, bias: float = 0.0, seed: int = 6) -> Log:
 
 
 def watched(watch: Watch, log: Log) -> list[Sample]:
-    found = [sample for row in zip(*log, strict=True) for sample in watch.take(*row)]
-    return [*found, *watch.rest()]
+    found = [sample for row in zip(*log, strict=True) for sample in watch.update(*row)]
+    return [*found, *watch.finish()]
 
 
 def isolated(samples: Iterable[Sample]) -> Array:

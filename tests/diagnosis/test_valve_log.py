@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.diagnosis.diagnose import DiagnosisWarning
-from fusion_sfdia.diagnosis.recorded import diagnose
 from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]

@@ -16,8 +16,8 @@ from fusion_sfdia.detectors.batch_detector import HELD
 from fusion_sfdia.detectors.detector import Decision, chosen
 from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.detectors.verdicts import Verdict, conclusion_of
+from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.diagnosis.diagnose import Diagnosis
-from fusion_sfdia.diagnosis.recorded import diagnose
 from fusion_sfdia.report.log_report import as_text
 
 Array = np.ndarray[Any, Any]

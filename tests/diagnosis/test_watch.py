@@ -20,9 +20,9 @@ from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.detectors.kalman_banks.robust_bank import RobustBank
 from fusion_sfdia.detectors.state import leaves
+from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.diagnosis.changes import Change
 from fusion_sfdia.diagnosis.events import Event, events_of
-from fusion_sfdia.diagnosis.recorded import diagnose
 from fusion_sfdia.diagnosis.watch import Sample, Watch, WatchWarning
 from fusion_sfdia.plant.plant import Plant
 
@@ -39,7 +39,7 @@ def rows_of(plant: Plant, steps: int, seed: int = 0, faults: dict[int, tuple[int
 
 
 def taken(watch: Watch, rows: Rows) -> list[Sample]:
-    return [sample for row in rows for sample in watch.take(*row)]
+    return [sample for row in rows for sample in watch.update(*row)]
 
 
 def changes_of(samples: list[Sample]) -> list[Change]:
@@ -176,7 +176,7 @@ def test_duplicates_are_counted_in_a_line_and_the_first_counts() -> None:
     for reorder in (0.0, 20.0):
         watch = Watch(bank(), reorder=reorder, refused=remarks.append)
         given = [rows[0], again[0], *rows[1:20], again[19], again[19], *rows[20:], again[39]]
-        samples = [*taken(watch, given), *watch.rest()]
+        samples = [*taken(watch, given), *watch.finish()]
         assert repr(changes_of(samples)) == repr(expected)
         said = [f"{count} dropped, the first row of each time kept" for count in ("1 duplicate", "2 duplicates", "1 duplicate")]
         assert remarks == said
@@ -262,7 +262,7 @@ def test_rows_that_do_not_fit_are_skipped_and_never_end_a_watch() -> None:
     assert len(taken(fixed, [*rows[:4], (21.5, y, u), *rows[4:]])) == len(rows)
     assert "21.5 s: a step of 1.5 s; plant" in remarks[-1]
     with pytest.warns(WatchWarning, match="not finite; it is not taken"):
-        Watch(bank()).take(np.nan, y, u)
+        Watch(bank()).update(np.nan, y, u)
     for setting in ({"gap": 0}, {"gap": 1000}, {"hold": np.inf}, {"longest_gap": -1.0}):
         with pytest.raises(ValueError, match="expected"):
             Watch(bank(), **setting)  # type: ignore[arg-type]
@@ -299,7 +299,7 @@ def memory_growth(rows: int) -> tuple[int, int]:
     detector, found, blocks = CentralFilter(chain(3, process=1e-3)), 0, 0
     watch = Watch(detector)
     for k, row in enumerate(endless(detector.plant, rows), start=1):
-        found += sum(len(sample.changes) for sample in watch.take(*row))
+        found += sum(len(sample.changes) for sample in watch.update(*row))
         if k in (2000, rows):
             gc.collect()
             blocks = sys.getallocatedblocks() - blocks
@@ -326,7 +326,7 @@ def test_the_bytes_do_not_grow() -> None:
     watch, before = Watch(detector), 0
     tracemalloc.start()
     for k, row in enumerate(endless(detector.plant, 5500), start=1):
-        watch.take(*row)
+        watch.update(*row)
         if k in (1500, 5500):
             gc.collect()
             before, growth = tracemalloc.get_traced_memory()[0], tracemalloc.get_traced_memory()[0] - before

@@ -32,7 +32,7 @@ def rows_of(plant: Plant, steps: int) -> list[tuple[float, Any, Any]]:
 def saved(path: Path, detector: Any, steps: int = 70) -> Arrays:
     watch = Watch(detector, refused=print)
     for row in rows_of(detector.plant, steps):
-        watch.take(*row)
+        watch.update(*row)
     watch.save(path)
     return read_arrays(path)
 

@@ -66,7 +66,7 @@ def watching(**settings: Any) -> tuple[SavedWatch, list[dict[str, Any]], list[st
 def diagnosed(rows: list[Any]) -> list[dict[str, Any]]:
     saved, lines, _ = watching()
     for row in rows:
-        saved.take(*row)
+        saved.update(*row)
     return lines
 
 
@@ -449,7 +449,7 @@ def through_opcua(change: Change = lambda k, name, found: found, **nodes: Any) -
     bridge = opcua.Bridge(saved, "", Nodes({n: f"ns=2;s={n}" for n in NAMES}, **nodes))
     for k, row in enumerate(rows_of()):
         if (found := bridge.row(*data_values(k, row, change))) is not None:
-            saved.take(*found)
+            saved.update(*found)
     return lines, remarks
 
 

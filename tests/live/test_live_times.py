@@ -65,8 +65,8 @@ def test_a_watch_counts_the_seconds_of_the_second_hour() -> None:
     for text in stamps(datetime(2024, 10, 27, 0, 59), "Europe/Amsterdam", 5.0, 40):
         row = rows.row(f"{text},1,1,6e-4,6e-4,6e-4")
         assert row is not None
-        times += [sample.t for sample in watch.take(*row)]
-    times += [sample.t for sample in watch.rest()]
+        times += [sample.t for sample in watch.update(*row)]
+    times += [sample.t for sample in watch.finish()]
     assert times == [5.0 * k for k in range(40)]
 
 

@@ -131,7 +131,7 @@ def lines_of(rows: list[Any]) -> list[dict[str, Any]]:
     found: list[str] = []
     saved = SavedWatch(Watch(detector(), at_sample=True), found.append, samples=True)
     for row in rows:
-        saved.take(*row)
+        saved.update(*row)
     return [json.loads(line) for line in found]
 
 

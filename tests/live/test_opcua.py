@@ -98,7 +98,7 @@ def lines_of(rows: list[Any]) -> list[str]:
     found: list[str] = []
     saved = SavedWatch(Watch(detector(), at_sample=True), found.append)
     for row in rows:
-        saved.take(*row)
+        saved.update(*row)
     return found
 
 
@@ -182,7 +182,7 @@ def test_times_of_a_plant_of_fixed_steps_are_put_on_its_grid(tmp_path: Path) -> 
     watch, start = Watch(LeaveOneOutBank(plant, window=1)), datetime(2026, 3, 1, tzinfo=UTC)
     bridge = opcua.Bridge(SavedWatch(watch, print), "", nodes)
     for seconds in (0.0, 5.2, 9.9):
-        watch.take(bridge.values.on_grid(start + timedelta(seconds=seconds)), [1.0, 1.0, 6e-4, 6e-4], [6e-4])
+        watch.update(bridge.values.on_grid(start + timedelta(seconds=seconds)), [1.0, 1.0, 6e-4, 6e-4], [6e-4])
     assert watch.t == 10.0
 
 

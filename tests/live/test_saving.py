@@ -34,19 +34,19 @@ def test_a_state_is_saved_every_so_many_rows_and_only_after_their_lines(tmp_path
     saved = SavedWatch(Watch(detector()), write, path, every=5, samples=True)
     with pytest.raises(BrokenPipeError):
         for row in rows(20):
-            saved.take(*row)
+            saved.update(*row)
     assert Watch.load(path, detector()).t == 10.0
     saved.save()  # at the end of the process: the last row's lines are not written
     assert Watch.load(path, detector()).t == 10.0
     again = SavedWatch(Watch.load(path, detector()), lines.append, path, every=5, samples=True)
     for row in rows(20):
-        again.take(*row)
+        again.update(*row)
     again.save()
     assert Watch.load(path, detector()).t == 20.0
     whole: list[str] = []
     uninterrupted = SavedWatch(Watch(detector()), whole.append, samples=True)
     for row in rows(20):
-        uninterrupted.take(*row)
+        uninterrupted.update(*row)
     assert list(dict.fromkeys(lines)) == whole and len(lines) > len(whole)
 
 
@@ -56,8 +56,8 @@ def test_a_state_that_cannot_be_saved_is_reported_and_tried_again(tmp_path: Path
     path = tmp_path / "folder" / "s"
     saved = SavedWatch(Watch(detector(), refused=remarks.append), lambda line: None, path, every=5)
     for row in rows(6):
-        saved.take(*row)
+        saved.update(*row)
     assert len(remarks) == 2 and "the state is not saved" in remarks[0]
     (tmp_path / "folder").unlink()
-    saved.take(*rows(7)[-1])
+    saved.update(*rows(7)[-1])
     assert len(remarks) == 2 and Watch.load(path, detector()).t == 7.0

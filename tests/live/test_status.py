@@ -46,7 +46,7 @@ def watched(steps: int, wall: Wall, *, seconds: bool = False, **settings: Any) -
     for s, row, given in zip(t - t[0], y, u[:, 0], strict=True):
         stamp = START + timedelta(seconds=float(s))
         wall.time = stamp + timedelta(seconds=2)
-        saved.take(float(s) if seconds else stamp, row, given)
+        saved.update(float(s) if seconds else stamp, row, given)
     return status, saved
 
 
@@ -76,7 +76,7 @@ def test_without_rows_for_long_the_watch_is_blind_until_one_comes() -> None:
     assert status.report().conclusion.verdict is Verdict.HEALTHY
     wall.time += timedelta(seconds=1)
     assert status.report().conclusion.text == "no verdict: no row for 51 s" and status.report().age == 51.0
-    saved.take(START + timedelta(seconds=125), [1.0, 1.0, 6e-4, 6e-4], [6e-4])
+    saved.update(START + timedelta(seconds=125), [1.0, 1.0, 6e-4, 6e-4], [6e-4])
     assert status.report().age == 0.0 and "no row for" not in status.report().line
     patient, _ = watched(25, wall, silent=1000.0)
     wall.time += timedelta(seconds=900)
@@ -89,7 +89,7 @@ def test_listeners_hear_beats_and_changes_of_the_verdict() -> None:
     status.listeners.append(heard.append)
     for k in range(5, 15):
         y = np.full(4, np.nan) if 8 <= k < 10 else tanks().output(0.0, tanks().x0, np.array([6e-4])) * (1 + 1e-4 * k)
-        saved.take(START + timedelta(seconds=5.0 * k), y, [6e-4])
+        saved.update(START + timedelta(seconds=5.0 * k), y, [6e-4])
     assert [r.conclusion.verdict for r in heard] == [Verdict.BLIND, Verdict.HEALTHY]
     status.beat()
     assert heard[-1] == status.report()

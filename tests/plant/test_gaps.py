@@ -10,7 +10,7 @@ import pytest
 from toy_plants import Array, changed, tanks
 
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.diagnosis.recorded import diagnose
+from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.plant.gaps import MOST_BRIDGES, Gap, bridged, longest_step
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant

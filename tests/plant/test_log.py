@@ -13,7 +13,7 @@ from toy_plants import Array, readings, tanks
 from fusion_sfdia.detectors.data_driven.fixed_limits import FixedLimits
 from fusion_sfdia.detectors.detector import Decision, run
 from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter
-from fusion_sfdia.diagnosis.recorded import diagnose
+from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.logs.as_log import as_log
 from fusion_sfdia.logs.check import check_log

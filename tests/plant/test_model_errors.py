@@ -10,7 +10,7 @@ import pytest
 from toy_plants import readings, tanks
 
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.diagnosis.recorded import diagnose
+from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.plant.model_errors import ModelError, described, require_model
 
 

@@ -17,7 +17,7 @@ from toy_plants import readings, tanks
 from fusion_sfdia.cli.main import main
 from fusion_sfdia.common.plain_text import ACTING, FORMULA, plain
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.diagnosis.recorded import diagnose
+from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.logs.csv_log import read_log, write_log
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.figure_files import figure_svg, write_figure

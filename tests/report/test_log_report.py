@@ -17,8 +17,8 @@ from toy_plants import Array, readings, tanks
 
 from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.diagnosis.diagnose import Diagnosis, diagnose_run
-from fusion_sfdia.diagnosis.recorded import diagnose
 from fusion_sfdia.logs.columns import Source
 from fusion_sfdia.logs.conversion import conversion
 from fusion_sfdia.logs.csv_log import read_log

@@ -89,13 +89,13 @@ def test_row_by_row_it_decides_as_on_the_whole_log(monitor: Monitor, of_runs: Mo
 def test_a_stream_that_goes_on_from_its_state_writes_what_one_without_a_stop_writes(monitor: Monitor, tmp_path: Path) -> None:
     rows = list(zip(*LOGS["faults"], strict=True))
     whole = monitor.stream()
-    expected = [c for row in rows for s in whole.take(*row) for c in s.changes]
+    expected = [c for row in rows for s in whole.update(*row) for c in s.changes]
     first = monitor.stream()
-    found = [c for row in rows[:130] for s in first.take(*row) for c in s.changes]
+    found = [c for row in rows[:130] for s in first.update(*row) for c in s.changes]
     first.save(tmp_path / "state")
     again = monitor.stream(tmp_path / "state")
     assert isinstance(again, Watch) and again.t == rows[129][0]
-    found += [c for row in rows[130:] for s in again.take(*row) for c in s.changes]
+    found += [c for row in rows[130:] for s in again.update(*row) for c in s.changes]
     assert repr(found) == repr(expected)
     opened = {c.event.hypothesis for c in found if c.what == "opened" and c.event}
     assert {"s2", "s0", "a reading that never moved when healthy"} <= opened
@@ -108,8 +108,8 @@ def test_missing_readings_and_inputs_and_repeats_are_judged_as_they_are(monitor:
     watch = monitor.stream()
     t, y, _ = made(22, 40)
     for k in range(40):
-        watch.take(float(t[k]), np.where(np.arange(8) == 1, np.nan, y[k]), np.full(1, np.nan))
-    (sample,) = watch.take(400.0, np.full(8, np.nan), np.full(1, np.nan))
+        watch.update(float(t[k]), np.where(np.arange(8) == 1, np.nan, y[k]), np.full(1, np.nan))
+    (sample,) = watch.update(400.0, np.full(8, np.nan), np.full(1, np.nan))
     assert sample.decision.isolated.tolist() == [i == 1 for i in range(8)] and sample.verdict is Verdict.SENSOR
     anew = monitor.stream()
     assert anew.take(0.0, np.full(8, np.nan), np.full(1, np.nan)) == ()  # the first row waits for the next one
