@@ -1,7 +1,7 @@
 """The benchmark of speed: its parts are the other modules of this folder, each with a function `measure` of seconds.
 
 All on one thread. Compared calls take turns with each other and with a reference, and the least time of each counts (see
-`experiments.timing` and `support.calls.timed`).
+`study.experiments.timing` and `support.calls.timed`).
 """
 
 from __future__ import annotations

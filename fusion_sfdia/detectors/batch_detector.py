@@ -48,7 +48,7 @@ def without_false_alarms(plant: Plant) -> float:
 class BatchDetector(Claims, ABC):
     """A detector whose state is a `State`: a subclass defines its memory, how it starts, and how it judges readings.
 
-    The memory is a NamedTuple of arrays with the batch as leading axes, or of such tuples, see `core.state`.
+    The memory is a NamedTuple of arrays with the batch as leading axes, or of such tuples, see `detectors.state`.
     threshold_scale: factor on all thresholds, for the comparison of detectors at one false-alarm rate. fitted_rate: the rate
     per step over all sensors for which that factor was fitted to healthy readings, None where it was not: `false_alarm`, where
     a detector has it, is what its thresholds have at a factor of 1 on the model itself.

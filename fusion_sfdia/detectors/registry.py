@@ -14,7 +14,7 @@ Its description is the first line of its docstring, unless its file registers it
 names stays fast.
 
 Wherever a name is expected, a text "module:attribute" or "path/file.py:attribute" or an object is accepted as well; for a
-plant also the path of a Functional Mock-up Unit, model.fmu, with model.toml beside it (see `fmu.settings`).
+plant also the path of a Functional Mock-up Unit, model.fmu, with model.toml beside it (see `plant.fmu.settings`).
 """
 
 from __future__ import annotations

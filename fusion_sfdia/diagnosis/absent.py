@@ -13,7 +13,7 @@ from fusion_sfdia.plant.regularity import equal_readings
 Array = NDArray[Any]
 
 DUE = 20  # readings in a row that are due: where half of them are missing, the sensor has dropped out
-REPEATED = 16  # equal readings in a row: with 8 pairs a test of quiet readings has power, see `kalman_banks.quiet`
+REPEATED = 16  # equal readings in a row: with 8 pairs a test of quiet readings has power, see `detectors.kalman_banks.quiet`
 LONGER = 10  # times the usual number of equal readings in a row
 TWICE = 2  # times the largest number that healthy logs show
 CONTRADICTED, SHARE = 3.0, 0.1  # standard deviations; share of equal readings of a coarse sensor that are so far off

@@ -216,7 +216,7 @@ def diagnose_run(
 
     Events of one hypothesis less than `gap` samples apart are one. Where two times are further apart than the largest step
     of the plant, the detector steps by dt through the gap without readings, under inputs interpolated between those before
-    and after; where that takes too many steps it starts anew (see `core.gaps`). A second look without the isolated readings
+    and after; where that takes too many steps it starts anew (see `plant.gaps`). A second look without the isolated readings
     gives kind and size of the faults and whether the model fits. clock: of the times in the result. each: wraps the steps of
     both passes, to show progress. unread: sensors that the log is known not to have; that they are silent is no event.
 
@@ -298,7 +298,7 @@ def decided(
     """The Decisions at the samples of a log; a detector that has `steps` takes all of a run at once.
 
     The readings of a track may be of a batch of runs (S, B, N) with the same times, its inputs then (S, B, m); see
-    `core.detector.of_run`.
+    `detectors.detector.of_run`.
     """
     batch = track.y.shape[1:-1]
     if not batch and (whole := _at_once(detector, track)) is not None:

@@ -49,7 +49,7 @@ class Regularities:
             cure = f"; state Sensor(resolution={q:.4g})" if q > s.resolution * 1.01 else ""
             text = (
                 f"{s.name} reads in steps of {q:.4g} {s.unit}, {q / s.noise_sigma:.2g} times its noise: a resolution, whose "
-                f"rounding is added to the noise{cure}"
+                f"rounding counts as noise unless the thresholds were fitted to such readings{cure}"
             )
             found.append(Finding("resolution", s.name, 0, text))
         for i, p in self.periods.items():

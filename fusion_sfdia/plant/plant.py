@@ -377,7 +377,7 @@ class Plant:
 
     @cached_property
     def non_analytic(self) -> tuple[tuple[Use, ...], tuple[Use, ...]]:
-        """The functions on which step and output depend and that are not analytic, see `core.analytic`."""
+        """The functions on which step and output depend and that are not analytic, see `derivatives.analytic`."""
         u = self.input_at(0.0)
         return (
             non_analytic(lambda p: self.step(0.0, p, u, self.dt), self._points),

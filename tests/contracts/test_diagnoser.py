@@ -64,7 +64,7 @@ def test_a_result_is_drawn_and_reported_in_the_tags_and_units_of_its_file(log: s
     assert "LT-101" in page and "log.csv" in page and "loo-glr" in page
     assert any("LT-101" in axes.get_ylabel() for axes in found.plot().axes)
     assert {p.name for p in tmp_path.iterdir()} == {"log.csv", "map.toml", "x.html"}
-    with pytest.raises(ValueError, match="expected a file that ends in .html"):
+    with pytest.raises(ValueError, match=r"expected a file that ends in \.html"):
         found.report(tmp_path / "folder")
 
 

@@ -100,7 +100,7 @@ def _rewritten(function: FunctionType) -> Any:
 
 
 class _Dual:
-    """A dual number outside compiled code (see `core.dual`); NumPy finds its functions by their names."""
+    """A dual number outside compiled code (see `derivatives.dual`); NumPy finds its functions by their names."""
 
     __array_priority__ = 1.0  # above that of NumPy's numbers
 

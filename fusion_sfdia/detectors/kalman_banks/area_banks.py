@@ -1,6 +1,6 @@
 """Robust banks of the areas of a network: each area diagnoses itself, at a cost that grows with the areas alone.
 
-All areas of one degree are one batch of one `RobustBank`, on the plant of an area (`core.local_areas`). After each step an area
+All areas of one degree are one batch of one `RobustBank`, on the plant of an area (see `local_areas`). After each step an area
 sends its neighbours its estimate of the shared state with its variance; after the next they use it as an input. A reading
 theta_j@i of area j's state by area i is judged by area j, which has a model of it. A sensor that an area leaves out, and a
 parameter that it has moved, are thus gone from what its neighbours use, too.

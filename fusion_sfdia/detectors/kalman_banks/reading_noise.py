@@ -13,7 +13,7 @@ the model and the stated noise are right. Four things are followed, all so that 
                   block of BLOCK samples later, so that a fault which begins is judged without it
 
 A sum over n samples of noise with the correlation q from each sample to the next varies c(n, q) times as much as one of white
-noise, see `core.slow_noise`, and where levels vary by M from sensor to sensor the square of the sum grows by n^2 M, its
+noise, see `plant.slow_noise`, and where levels vary by M from sensor to sensor the square of the sum grows by n^2 M, its
 variance over that of white noise by n M. Where a sensor states slow noise (`SlowNoise`), of the share s and the correlation q
 from sample to sample, sums vary at least 1 + s (c(n, q) - 1) times as much. The statistics of windows are divided by it, those
 of the process without M: all sensors together show it.
@@ -178,7 +178,7 @@ def inflation_of(now: ReadingNoise, age: Array, stated: Array) -> Inflation:
 
     By the correlation of all sensors together, and the median of what their variances are over the stated ones; of each sensor
     by its own, where that is more, and by what the model is off; at least by the slow noise that sensors state, together by its
-    mean. stated (M, N): what that is of sums over 0 to M - 1 samples, see `core.slow_noise`; longer ones count as M - 1.
+    mean. stated (M, N): what that is of sums over 0 to M - 1 samples, see `plant.slow_noise`; longer ones count as M - 1.
     """
     batch = age.shape[:-1]
     given = [*(bank_kernels.runs(v, batch) for v in (age, now.own, now.every, now.spread, now.off)), stated]

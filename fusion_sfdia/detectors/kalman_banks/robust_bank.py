@@ -1,6 +1,6 @@
 """Detector: leave-one-out bank on the augmented plant, where faults of sensors compete with differences of the plant.
 
-The central filter estimates what the plant declares as unknown (`core.augment`). On its innovations the hypotheses of
+The central filter estimates what the plant declares as unknown (`plant.augment`). On its innovations the hypotheses of
 `hypotheses` compete; `competition` decides between sensor, process and "cannot tell".
 
 - A sensor is isolated by the windows, or by the present sample twice in a row, where it explains the readings better than any

@@ -1,6 +1,6 @@
 """Detector: the frozen model with the adaptive bank beside it, on a plant where that bank keeps its rate.
 
-The bank (`kalman_banks.robust_bank`) begins at the unknowns of commissioning and sees abrupt and small faults, and which of two
+The bank (`robust_bank`) begins at the unknowns of commissioning and sees abrupt and small faults, and which of two
 causes with the same lasting pattern has just begun; but its unknowns follow slow changes, and what they have followed it takes
 for a fault of a sensor when the change ends. So what it says counts
 

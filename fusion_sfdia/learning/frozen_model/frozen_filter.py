@@ -1,7 +1,7 @@
 """The filter whose unknowns stay at the values of commissioning, and what constant causes do to its innovations.
 
 A cause m_h is an offset of sensor h (h = 1..N) or a change of unknown h - N. With e = d(x_true - x) / dm on the augmented state
-(`core.augment`), F, H its Jacobians and K the gain, which is zero for the unknowns,
+(`plant.augment`), F, H its Jacobians and K the gain, which is zero for the unknowns,
 
     e- = F e,    D = d(innovation) / dm = H e- + [I | 0],    e = e- - K D
 

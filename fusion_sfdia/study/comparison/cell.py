@@ -1,6 +1,6 @@
 """Cells of a comparison: what one detector did on one plant, and its numbers with intervals.
 
-Intervals are those of `evaluation.metrics`, one rule for each kind of number: shares of runs Wilson's, shares of samples the
+Intervals are those of `report.metrics`, one rule for each kind of number: shares of runs Wilson's, shares of samples the
 same for the variance between runs, means over runs Student's, areas under a ROC the jackknife over seeds. Where a number
 depends on the threshold, its interval contains how uncertain the threshold is: half the difference of the numbers with
 thresholds a standard error lower and higher, added in quadrature; for bias, drift, noise and scale of the small and the large
