@@ -28,7 +28,7 @@ from fusion_sfdia.benchmarks.engine.support.noise_figures import (
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row, timeline
 from fusion_sfdia.diagnosis.fault_effects import apply_faults
 from fusion_sfdia.diagnosis.faults import Fault
-from fusion_sfdia.models.marine_engine.published import DELAYS, Delay, Offset
+from fusion_sfdia.models.marine_engine.published import DELAYS, Delay, PublishedOffset
 from fusion_sfdia.report.content import Summary, Table
 from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.results import Row
@@ -83,7 +83,7 @@ def noise_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Sum
                 for metric, estimate in _metrics(answer).items():
                     stated = published(sensor, group, level, metric) if settings["duration"] == 100.0 else None
                     rows.append(at(fault, quantity, metric, estimate, stated, condition=condition(level)))
-            lines = timeline(first[i], (Offset(sensor, settings["onset"], size),), settings["duration"])
+            lines = timeline(first[i], (PublishedOffset(sensor, settings["onset"], size),), settings["duration"])
             rows += isolation_rows("engine/noise", name, fault, lines, condition=condition(level))
     figures = [missed_figure(levels, found), delay_figure(levels, found), isolation_figure(levels, rows)]
     return Summary(rows, figures, [_table_vi(levels, found)], [_highlight(levels, found)], _remarks(levels, found, rows))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.network.support.attack_figures import answers_figure, false_isolation_figure
 from fusion_sfdia.benchmarks.network.support.rows import detector_name, row, spread, time_rows
-from fusion_sfdia.benchmarks.network.support.trials import LATE, Arrays, Watch, join_runs, require_settings, trial
+from fusion_sfdia.benchmarks.network.support.trials import LATE, Arrays, WatchedRuns, join_runs, require_settings, trial
 from fusion_sfdia.detectors.detector import run
 from fusion_sfdia.detectors.registry import detector
 from fusion_sfdia.detectors.stochastic_thresholds.consensus import MODES
@@ -70,10 +70,10 @@ def attack_work(task: Task) -> Arrays:
 
     found: Arrays = {}
     for number, hypotheses in enumerate(SETS.values()):
-        watch = Watch(AREA, ONSET, task["mode"], hypotheses)
+        watch = WatchedRuns(AREA, ONSET, task["mode"], hypotheses)
         part = trial(model, watch, steps, task["seeds"], loads=SIGN_FLIP.loads, faults=[fault], each=None if number else keep)
         found |= {f"{number}_{name}": part[name] for name in ("detected", "answered", "first_answer", "answer", "angle")}
-    watch = Watch(AREA, ONSET, task["mode"], ATTACKS, reconfigure=True)
+    watch = WatchedRuns(AREA, ONSET, task["mode"], ATTACKS, reconfigure=True)
     again = trial(model, watch, steps, task["seeds"], loads=SIGN_FLIP.loads, faults=[fault])
     found["reconfigured"] = again["angle"]
     return found | (_isolated_sensors(task, moments) if task["sensor_faults"] else {})

@@ -15,7 +15,7 @@ from fusion_sfdia.benchmarks.network.support.consensus_figures import (
     COPIES,
     READINGS,
     WEIGHTS,
-    Case,
+    SharedCopies,
     Variance,
     parts_figure,
     ratio_figure,
@@ -204,7 +204,7 @@ def consensus_summary(settings: Settings, results: list[tuple[Task, Arrays]]) ->
             for (sharers, copy), mask in copies(areas).items():
                 single = _mean(theory(areas, ALONE, lam), mask)
                 for weights in square:
-                    case = Case(noise, kind, lam, sharers, copy, weights)
+                    case = SharedCopies(noise, kind, lam, sharers, copy, weights)
                     runs = square[weights][:, mask].mean(axis=-1)
                     add(Variance("residual_variance", case), mean_over_runs(runs, np.ones_like(runs)))
                     expected = _mean(theory(areas, weights, lam), mask)

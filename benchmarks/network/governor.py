@@ -14,7 +14,7 @@ from fusion_sfdia.benchmarks.network.support.trials import (
     CONTROLLERS,
     SHOWN,
     Arrays,
-    Watch,
+    WatchedRuns,
     join_runs,
     require_settings,
     trial,
@@ -55,7 +55,7 @@ def governor_work(task: Task) -> Arrays:
     same with the prefix "unplugged_". A run is the same until then, so runs that are unplugged at the same time go together.
     """
     model = network_model(unplugged=["15"], noise=task["noise"])
-    watch = Watch(AREA, GOVERNOR.fault.onset, task["mode"])
+    watch = WatchedRuns(AREA, GOVERNOR.fault.onset, task["mode"])
     seeds, steps = list(task["seeds"]), round(task["duration"] / model.dt)
     joins = Switch(PLUGGED_IN, plug_in=("15",))
     common = {"loads": GOVERNOR.loads, "faults": [GOVERNOR.fault], "controller": task["controller"]}

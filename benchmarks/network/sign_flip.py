@@ -19,7 +19,7 @@ from fusion_sfdia.benchmarks.network.support.trials import (
     LATE,
     PATIENCE,
     Arrays,
-    Watch,
+    WatchedRuns,
     join_runs,
     require_settings,
     trial,
@@ -67,10 +67,10 @@ def flip_work(task: Task) -> Arrays:
     """Runs reconfigured once the fault is isolated, arrays as of `trial`; without reconfiguration with the prefix "alone_"."""
     model = network_model(noise=task["noise"])
     exclusions, alpha = CASES[task["case"]]
-    watch = Watch(AREA, SIGN_FLIP.fault.onset, task["mode"], ATTACKS, alpha, exclusions, reconfigure=True)
+    watch = WatchedRuns(AREA, SIGN_FLIP.fault.onset, task["mode"], ATTACKS, alpha, exclusions, reconfigure=True)
     steps = round(task["duration"] / model.dt)
 
-    def run(chosen: Watch) -> Arrays:
+    def run(chosen: WatchedRuns) -> Arrays:
         return trial(
             model, chosen, steps, task["seeds"], loads=SIGN_FLIP.loads, faults=[SIGN_FLIP.fault], controller=task["controller"]
         )

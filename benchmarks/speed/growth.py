@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
-from fusion_sfdia.benchmarks.speed.support.counting import Work, counted, growth
+from fusion_sfdia.benchmarks.speed.support.counting import CallWork, counted, growth
 from fusion_sfdia.benchmarks.speed.support.processes import printed
 from fusion_sfdia.report.metrics import NOTHING
 from fusion_sfdia.report.results import Row, row_of
@@ -67,31 +67,31 @@ def seeds(size: int) -> Call:
     return lambda: [scenario.work(task) for task in tasks]
 
 
-class Case(NamedTuple):
+class Workload(NamedTuple):
     """A workload at a size, twice and four times that size, and the exponents that are expected of it."""
 
     detector: str
     quantity: str
     call: Callable[[int], Call]
     size: int
-    expected: Work
+    expected: CallWork
 
 
 CASES = (
-    Case("loo-glr", "sensors", partial(sensors, "loo-glr"), 16, Work(0, 3, 2)),
-    Case("robust-glr", "sensors", partial(sensors, "robust-glr"), 16, Work(0, 3, 2)),
-    Case("fusing-enkf", "nodes", nodes, 6, Work(0, 1, 1)),
-    Case("chebyshev:corrected", "areas", areas, 10, Work(0, 1, 1)),
-    Case("limits", "seeds", seeds, 5, Work(1, 1, 1)),
+    Workload("loo-glr", "sensors", partial(sensors, "loo-glr"), 16, CallWork(0, 3, 2)),
+    Workload("robust-glr", "sensors", partial(sensors, "robust-glr"), 16, CallWork(0, 3, 2)),
+    Workload("fusing-enkf", "nodes", nodes, 6, CallWork(0, 1, 1)),
+    Workload("chebyshev:corrected", "areas", areas, 10, CallWork(0, 1, 1)),
+    Workload("limits", "seeds", seeds, 5, CallWork(1, 1, 1)),
 )
 
 
-def print_growth(cases: Sequence[Case] = CASES) -> None:
+def print_growth(cases: Sequence[Workload] = CASES) -> None:
     """Print the exponents of all cases as JSON, in a process in which `install` was called."""
     found = []
     for case in cases:
         one, two, four = (counted(case.call(factor * case.size)) for factor in (1, 2, 4))
-        exponents = Work(*map(growth, one, two, four))
+        exponents = CallWork(*map(growth, one, two, four))
         found.append(exponents._replace(memory=growth(0, two.memory, four.memory))._asdict())  # a largest value: no sum
     print(json.dumps(found))
 

@@ -37,7 +37,7 @@ class Ratio(NamedTuple):
     spread: float
 
 
-class Change(NamedTuple):
+class Slowdown(NamedTuple):
     """A row that was compared: its ratio before and now, its noise, and the increase that would be reported, as shares."""
 
     key: Key
@@ -52,7 +52,7 @@ class Change(NamedTuple):
         return self.now / self.before - 1 > self.limit
 
 
-def compared(history: Sequence[Mapping[Key, Ratio]], now: Mapping[Key, Ratio]) -> list[Change]:
+def compared(history: Sequence[Mapping[Key, Ratio]], now: Mapping[Key, Ratio]) -> list[Slowdown]:
     """All rows that the history (oldest first) has, too."""
     before = {key: [log(run[key].value) for run in history if key in run][-RUNS:] for key in now}
     before = {key: x for key, x in before.items() if x}
@@ -64,11 +64,11 @@ def compared(history: Sequence[Mapping[Key, Ratio]], now: Mapping[Key, Ratio]) -
         dof, last = PRIOR_DOF + runs, x[-BASELINE:]
         s = max(sqrt((PRIOR_DOF * usual + runs * variance.get(key, 0.0)) / dof), now[key].spread)
         limit = -special.stdtrit(dof, FALSE_ALARM / len(before)) * s * sqrt(1 + 1.6 / len(last))
-        changes.append(Change(key, exp(median(last)), now[key].value, s, float(expm1(limit)), len(x)))
+        changes.append(Slowdown(key, exp(median(last)), now[key].value, s, float(expm1(limit)), len(x)))
     return changes
 
 
-def confirmed(changes: Sequence[Change], again: Sequence[Change]) -> list[Change]:
+def confirmed(changes: Sequence[Slowdown], again: Sequence[Slowdown]) -> list[Slowdown]:
     """The changes, those that are slower in both runs with the lower of their ratios, others as they were before."""
     second = {c.key: c for c in again}
     return [
@@ -76,7 +76,7 @@ def confirmed(changes: Sequence[Change], again: Sequence[Change]) -> list[Change
     ]
 
 
-def as_text(changes: Sequence[Change]) -> list[str]:
+def as_text(changes: Sequence[Slowdown]) -> list[str]:
     """A line for each row that is slower, and one for all."""
     slower = [c for c in changes if c.slower]
     lines = [

@@ -31,7 +31,7 @@ def announced(detector: str | None = None) -> Iterator[None]:
     helper = started(detector) if detector and cores() > 1 and nothing_compiled() else None
     from numba.core import event
 
-    class Modules(event.Listener):  # type: ignore[misc]
+    class CompiledModules(event.Listener):  # type: ignore[misc]
         def __init__(self) -> None:
             self.told: set[str] = set()
             self.deep = 0  # one function is compiled within another
@@ -53,7 +53,7 @@ def announced(detector: str | None = None) -> Iterator[None]:
             if not self.deep:
                 gc.enable()
 
-    modules = Modules()
+    modules = CompiledModules()
     try:
         with event.install_listener("numba:compile", modules):
             yield

@@ -126,7 +126,7 @@ def _tune(chosen: argparse.Namespace) -> int:
 
 def _tuned(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.detectors.registry import plant
-    from fusion_sfdia.learning.tuning.tune import Source, tune
+    from fusion_sfdia.learning.tuning.tune import HealthySource, tune
     from fusion_sfdia.learning.tuning.words import as_text
     from fusion_sfdia.report.progress import working
 
@@ -145,7 +145,7 @@ def _tuned(chosen: argparse.Namespace) -> int:
             false_alarm=chosen.false_alarm,
             detector=named_detector(chosen),
             strict=chosen.strict,
-            sources=[Source(str(path), one.clock) for path, one in zip(chosen.healthy, logs, strict=True)],
+            sources=[HealthySource(str(path), one.clock) for path, one in zip(chosen.healthy, logs, strict=True)],
             made=date.today().isoformat(),
         )
     tuned.write(chosen.out)

@@ -165,7 +165,7 @@ GAUGE = re.compile(r"(.*?[^\s._(\[-])[\s._-]*[(\[]?(gauge|gage|g|absolute|abs|a|
 TOKEN = re.compile(r"\s*(\d+(?:\.\d+)?|\*\*|[*/^()-]|[^\W\d]+|[°%‰])")
 
 
-class Reading(NamedTuple):
+class UnitMeaning(NamedTuple):
     """A unit of pint, and of a gauge pressure the pressure (Pa) above which it counts."""
 
     unit: Any
@@ -200,20 +200,20 @@ def is_unknown(text: str) -> bool:
 
 
 @lru_cache(TEXTS)
-def readings(text: str) -> tuple[Reading, ...]:
+def readings(text: str) -> tuple[UnitMeaning, ...]:
     """All meanings of a text as a unit, the most usual first; none of a text that is no unit."""
     return tuple(dict.fromkeys(reading for reading, _ in spellings(text)))
 
 
 @lru_cache(TEXTS)
-def spellings(text: str, case: str = "") -> tuple[tuple[Reading, str], ...]:
+def spellings(text: str, case: str = "") -> tuple[tuple[UnitMeaning, str], ...]:
     """The meanings of a text, each with the text in the upper and lower case in which its names are known.
 
     case: "unknown" to try other cases of names that are unknown as they stand, KW as kW; "any" to try them of all names.
     """
     plain = plain_text(text)
     if plain.casefold() in DIMENSIONLESS:
-        return ((Reading(registry().Unit("")), plain),)
+        return ((UnitMeaning(registry().Unit("")), plain),)
     if len(plain) > LONGEST or (is_logarithm(plain) and plain != "pH"):  # which is picohenry, too
         return ()
     if match := QUALIFIED.fullmatch(plain):
@@ -221,11 +221,11 @@ def spellings(text: str, case: str = "") -> tuple[tuple[Reading, str], ...]:
     found = list(_products(plain, case))
     if match := LIQUID_COLUMN.fullmatch(plain):
         length, liquid = LENGTHS.get(match[1].casefold(), "inch"), "mercury" if match[2] else "water"
-        found.append((Reading(registry().parse_units(f"{length} / meter * meter_of_{liquid}")), plain))
+        found.append((UnitMeaning(registry().parse_units(f"{length} / meter * meter_of_{liquid}")), plain))
     if match := GAUGE.fullmatch(plain):
         above, pressure = ATMOSPHERE if match[2][0] in "gG" else 0.0, registry().Unit("pascal").dimensionality
         found += [
-            (Reading(r.unit, above), spelled + plain[len(match[1]) :])
+            (UnitMeaning(r.unit, above), spelled + plain[len(match[1]) :])
             for r, spelled in spellings(match[1], case)
             if r.unit.dimensionality == pressure and not r.above
         ]
@@ -264,7 +264,7 @@ def has_angle(unit: Any) -> bool:
     return any(angle in name for name in unit._units for angle in names if "degree_" not in name)
 
 
-def _products(plain: str, case: str) -> Iterator[tuple[Reading, str]]:
+def _products(plain: str, case: str) -> Iterator[tuple[UnitMeaning, str]]:
     """The readings of a product of powers; behind one slash either a factor alone or all are divided by, as in W/m2 K."""
     text = re.sub(r"Δ\s*", "delta_", TEMPERATURE.sub(_temperature, plain))
     for pattern, power in ROOMS:
@@ -291,7 +291,7 @@ def _products(plain: str, case: str) -> Iterator[tuple[Reading, str]]:
             spelled = plain
             for (name, _), (_, symbol) in zip(factors, chosen, strict=True):
                 spelled = re.sub(rf"(?<![^\W_]){re.escape(name)}(?![^\W\d_])", symbol, spelled)
-            yield Reading(reduce(mul, powers, registry().Unit(""))), spelled
+            yield UnitMeaning(reduce(mul, powers, registry().Unit(""))), spelled
 
 
 def _temperature(match: re.Match[str]) -> str:

@@ -40,7 +40,7 @@ class Change(NamedTuple):
     reason: str = ""
 
 
-class Standing(NamedTuple):
+class OpenEvent(NamedTuple):
     """An event that is not closed: its id, the times (s) at which it began and last held, and the samples since then."""
 
     id: int
@@ -70,7 +70,7 @@ class Changes:
     detector: Detector
     gap: int
     count: int = 0  # ids given so far
-    standing: dict[int, Standing] = field(default_factory=dict)
+    standing: dict[int, OpenEvent] = field(default_factory=dict)
     recent: deque[tuple[float, Decision]] = field(default_factory=lambda: deque(maxlen=KEPT))
     sight: Sight = field(default_factory=Sight)
 
@@ -102,7 +102,7 @@ class Changes:
                 found.append(self._closed(i, t))
         for i in sorted(held - self.standing.keys()):
             self.count += 1
-            self.standing[i] = Standing(self.count, t, t, 0)
+            self.standing[i] = OpenEvent(self.count, t, t, 0)
             found.append(Change(self.count, "opened", t, self._with_rivals(self._event(i), i)))
         return found
 
@@ -157,7 +157,7 @@ class Changes:
         for (i, number, missed), (start, last) in zip(
             whole_numbers("standing", standing[:, [0, 1, 4]]), standing[:, 2:4].tolist(), strict=True
         ):
-            found.standing[i] = Standing(number, start, last, missed)
+            found.standing[i] = OpenEvent(number, start, last, missed)
         if "recent" in saved.arrays:
             times = saved.take("recent", "f", None)
             tested = any(f"recent.{name}" in saved.arrays for name in OF_PROCESS)

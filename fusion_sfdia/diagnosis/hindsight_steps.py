@@ -78,7 +78,7 @@ class Steps:
         return s if self._sample is None else self._sample[s]
 
 
-class Seen(NamedTuple):
+class HindsightStep(NamedTuple):
     """A step of the filter: what it carries on, whether that is sound (...), and the row of a Hindsight."""
 
     core: GaussianState
@@ -86,7 +86,9 @@ class Seen(NamedTuple):
     row: Hindsight
 
 
-def seen_at(model: Plant, core: GaussianState, before: Any, now: Any, dt: float, y: Array, u: Array, use: Array) -> Seen:
+def seen_at(
+    model: Plant, core: GaussianState, before: Any, now: Any, dt: float, y: Array, u: Array, use: Array
+) -> HindsightStep:
     """A step of the filter over dt (s) to the readings y (..., N) of which some are used (..., N)."""
     prior = FILTER.predict(model, core, before, u, dt, NO_DRAWS)
     joint = FILTER.joint(model, prior, now, u)
@@ -104,14 +106,14 @@ def seen_at(model: Plant, core: GaussianState, before: Any, now: Any, dt: float,
         variance[left] = np.where(unused, np.sum((h @ P) * h, axis=-1) + model.sensor_cov, variance[left])
     sd = np.sqrt(variance)
     normal = np.where(use, d / np.sqrt(np.diagonal(joint.S, axis1=-2, axis2=-1)), np.nan)
-    return Seen(GaussianState(after.x, after.P), sound, Hindsight(error, sd, normal, after.nis, np.sum(use, axis=-1)))
+    return HindsightStep(GaussianState(after.x, after.P), sound, Hindsight(error, sd, normal, after.nis, np.sum(use, axis=-1)))
 
 
 def _apart(model: Plant, y: Array, expected: Array) -> Array:
     return np.asarray(model.near(y, expected) - expected)
 
 
-def keep(found: Hindsight, samples: Any, seen: Seen, own: Any = ...) -> None:
+def keep(found: Hindsight, samples: Any, seen: HindsightStep, own: Any = ...) -> None:
     """Note what is known of some samples: of a batch of steps those that have one of their own."""
     for values, row in zip(found, seen.row, strict=True):
         values[samples] = row[own]

@@ -23,7 +23,7 @@ JUMP = 5.0  # usual distances between rows; a row that is further ahead waits
 CONFIRMING = 3  # rows from a jump on, with which its time counts
 
 
-class Row(NamedTuple):
+class WatchRow(NamedTuple):
     """Readings y (N,) at t (s), NaN where missing, and the inputs u (m,) as they came."""
 
     t: float
@@ -50,14 +50,14 @@ class InOrder:
     refused: Callable[[str], None]
     keep_last: bool = False
     step: float = np.inf
-    held: list[Row] = field(default_factory=list)  # by time
-    waiting: list[Row] = field(default_factory=list)  # by time, after those that are held
+    held: list[WatchRow] = field(default_factory=list)  # by time
+    waiting: list[WatchRow] = field(default_factory=list)  # by time, after those that are held
     distances: deque[float] = field(default_factory=lambda: deque(maxlen=5))  # s, between the last rows returned
     late: int = 0  # rows since the last one that was not
     again: Counter[str] = field(default_factory=Counter)  # duplicates since the last row that was none, by what was kept
     loaded: float | None = None  # s, the last row of a loaded state: until another is diagnosed, no line about rows it has
 
-    def push(self, row: Row, last: float | None, clock: Clock) -> list[tuple[Row, float]]:
+    def push(self, row: WatchRow, last: float | None, clock: Clock) -> list[tuple[WatchRow, float]]:
         """Rows that are due when `row` has arrived; last: the time of the last row diagnosed."""
         if self.keep_last and self._replaced(row):
             self.again["last"] += 1
@@ -84,7 +84,7 @@ class InOrder:
         due = bisect_right(self.held, self.held[-1].t - self.reorder, key=_time)
         return self._returned(max(due, len(self.held) - MOST_HELD), last)
 
-    def rest(self, last: float | None, clock: Clock) -> list[tuple[Row, float]]:
+    def rest(self, last: float | None, clock: Clock) -> list[tuple[WatchRow, float]]:
         """The rows that are held, at the end of the input; of those that wait, a single one ahead of others is lost."""
         self._count_duplicates()
         if len(self.waiting) == 1 and (self.held or last is not None):
@@ -105,7 +105,7 @@ class InOrder:
         self.refused(f"row at {clock.at(first.t)}{more}: {why}; {'they are' if others else 'it is'} not taken")
         self.waiting = []
 
-    def _returned(self, count: int, last: float | None) -> list[tuple[Row, float]]:
+    def _returned(self, count: int, last: float | None) -> list[tuple[WatchRow, float]]:
         rows, next_ones = self.held[:count], self.held[1 : count + 1]
         del self.held[:count]
         ahead = [b.t - a.t for a, b in zip(rows, next_ones, strict=False)]
@@ -136,7 +136,7 @@ class InOrder:
         self.late += said
         return True
 
-    def _replaced(self, row: Row) -> bool:
+    def _replaced(self, row: WatchRow) -> bool:
         """Whether a row with its time is held or waits; it has taken its place."""
         for rows in (self.held, self.waiting):
             k = bisect_left(rows, row.t, key=_time)
@@ -152,5 +152,5 @@ class InOrder:
         self.again.clear()
 
 
-def _time(row: Row) -> float:
+def _time(row: WatchRow) -> float:
     return row.t

@@ -28,7 +28,7 @@ from fusion_sfdia.detectors.storage import (
 )
 from fusion_sfdia.detectors.verdicts import Conclusion, Verdict, conclusion_of
 from fusion_sfdia.diagnosis.changes import KEPT, Change
-from fusion_sfdia.diagnosis.row_order import InOrder, Row
+from fusion_sfdia.diagnosis.row_order import InOrder, WatchRow
 from fusion_sfdia.diagnosis.second_look import Seen
 from fusion_sfdia.diagnosis.slow_sensors import SlowSensors
 from fusion_sfdia.diagnosis.watch_findings import Findings
@@ -196,10 +196,10 @@ class Watch:
         """What the second look would report if no row came any more; the watch stays as it is."""
         return [] if self.t is None else self.findings.last(self.t, self.clock)
 
-    def _in_turn(self, rows: list[tuple[Row, float]]) -> tuple[Sample, ...]:
+    def _in_turn(self, rows: list[tuple[WatchRow, float]]) -> tuple[Sample, ...]:
         return tuple(sample for row, ahead in rows for sample in self._diagnosed(row, ahead))
 
-    def _row(self, t: float | datetime, y: Any, u: Any) -> Row:
+    def _row(self, t: float | datetime, y: Any, u: Any) -> WatchRow:
         """The row as numbers; ValueError or TypeError where they do not fit."""
         plant, start = self.detector.plant, self.clock.start
         y, u = floats("y", y), floats("u", u)
@@ -214,9 +214,9 @@ class Watch:
             self.clock = Clock(start or t)
         elif not np.isfinite(seconds := number("t", t)):
             raise ValueError("its time is not finite")
-        return Row(seconds, np.where(np.isinf(y) | np.isin(plant.sensor_names, [*self.unread]), np.nan, y), u)
+        return WatchRow(seconds, np.where(np.isinf(y) | np.isin(plant.sensor_names, [*self.unread]), np.nan, y), u)
 
-    def _diagnosed(self, row: Row, ahead: float = np.inf) -> tuple[Sample, ...]:
+    def _diagnosed(self, row: WatchRow, ahead: float = np.inf) -> tuple[Sample, ...]:
         """Step to a row; ahead: seconds from it to the next one, where that is known."""
         pause = np.inf if self.t is None else row.t - self.t
         too_long = self.t is not None and pause > self.longest_gap
@@ -259,7 +259,7 @@ class Watch:
         self.u, self.given, self.known_at = u, given, known_at
         return (Sample(row.t, row.y, u, decision, tuple(changes), self.concluded),)
 
-    def _stepped(self, row: Row, u: Array, begins: float) -> tuple[State, Decision, list[tuple[float, Array]]]:
+    def _stepped(self, row: WatchRow, u: Array, begins: float) -> tuple[State, Decision, list[tuple[float, Array]]]:
         """The state and the Decision after a row, and times and inputs of the steps before it; any error of the model.
 
         begins: the time at which the detector starts anew, NaN where it goes on.
@@ -304,7 +304,7 @@ class Watch:
             nis=np.array(np.nan),
         )
 
-    def _inputs(self, row: Row) -> tuple[Array, Array]:
+    def _inputs(self, row: WatchRow) -> tuple[Array, Array]:
         """The inputs of a row, those that are missing or beyond their limits held, or the plant's usual ones, and the time of
         the last value of each; ValueError where one is neither.
         """

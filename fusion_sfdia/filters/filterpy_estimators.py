@@ -58,7 +58,7 @@ class _Unscented(UnscentedKalmanFilter):  # type: ignore[misc]
         self.sigmas_f = self.stepped.ahead
 
 
-class _OneByOne(Moments, ABC):
+class _OneRun(Moments, ABC):
     """The update and the joint Gaussian of a filter that takes one state at a time."""
 
     @abstractmethod
@@ -90,7 +90,7 @@ class _OneByOne(Moments, ABC):
 
 
 @dataclass(frozen=True)
-class FilterpyExtended(_OneByOne):
+class FilterpyExtended(_OneRun):
     """filterpy's ExtendedKalmanFilter, the counterpart of `Extended`."""
 
     consistent: bool = field(default=True, init=False, repr=False)
@@ -127,7 +127,7 @@ class FilterpyExtended(_OneByOne):
 
 
 @dataclass(frozen=True)
-class FilterpyUnscented(_OneByOne):
+class FilterpyUnscented(_OneRun):
     """filterpy's UnscentedKalmanFilter with Merwe's scaled sigma points, the counterpart of `Unscented`.
 
     redraw: whether sigma points are drawn again before the update, as filterpy does; otherwise its update gets the propagated

@@ -12,7 +12,7 @@ import numpy as np
 
 from fusion_sfdia.common import unit_texts as units
 from fusion_sfdia.common.arguments import shown
-from fusion_sfdia.common.unit_texts import Reading
+from fusion_sfdia.common.unit_texts import UnitMeaning
 
 USUAL = (  # units that logs have, by what they measure; the first states it
     ("mT", "T"), ("degC", "K", "degF"), ("bar", "bar(g)", "kPa", "psi", "Pa"), ("m3/h", "l/min", "gpm", "m3/s"),
@@ -76,14 +76,14 @@ def _other_prefix(given: str, spelled: str) -> bool:
     return any(m[0] != spelled[m.start()] for m in begins)
 
 
-class _Pair(NamedTuple):
+class _UnitPair(NamedTuple):
     """A meaning of two texts that converts, and their spellings in the upper and lower case in which they are known."""
 
     conversion: Conversion
     spelled: tuple[str, str]
 
 
-def _pairs(unit: str, target: str, cases: tuple[str, str] = ("", ""), *, angles: bool = True) -> Iterator[_Pair]:
+def _pairs(unit: str, target: str, cases: tuple[str, str] = ("", ""), *, angles: bool = True) -> Iterator[_UnitPair]:
     """The meanings of two texts in which one converts to the other, the most usual first.
 
     cases: of the names of units of each, see `unit_texts.spellings`. angles: whether both or none have to state an angle.
@@ -92,11 +92,11 @@ def _pairs(unit: str, target: str, cases: tuple[str, str] = ("", ""), *, angles:
         if angles and units.has_angle(source.unit) != units.has_angle(wanted.unit):
             continue
         if (found := _between(source, wanted)) is not None:
-            yield _Pair(found, (a, b))
+            yield _UnitPair(found, (a, b))
 
 
 @cache
-def _between(source: Reading, wanted: Reading) -> Conversion | None:
+def _between(source: UnitMeaning, wanted: UnitMeaning) -> Conversion | None:
     """The conversion between two readings; None for other dimensions, and where it is no factor and offset."""
     if source.unit.dimensionality != wanted.unit.dimensionality:
         return None

@@ -52,7 +52,7 @@ LONGEST_COUNT = 1e9  # s: nothing is older than 30 years at the end of a log
 MOST = 3  # candidates that a finding names
 
 
-class Count(NamedTuple):
+class EpochCount(NamedTuple):
     """What a number counts: units of so many seconds, since a moment (s since 1970, None: a start of its own)."""
 
     name: str
@@ -80,13 +80,13 @@ class Calendar(NamedTuple):
     name: str
 
 
-def count_of(text: str) -> Count | None:
+def count_of(text: str) -> EpochCount | None:
     """The count that a text states: a unit, "<unit> since <date>", or a name; None for any other text."""
     if text in DAY_ZERO:
-        return Count(text, 86400.0, DAY_ZERO[text] * 86400.0, local=True)
+        return EpochCount(text, 86400.0, DAY_ZERO[text] * 86400.0, local=True)
     match = COUNT.fullmatch(NAMES.get(text, text))
     if match is None:
-        return Count(text, SECONDS[text]) if text in SECONDS else None
+        return EpochCount(text, SECONDS[text]) if text in SECONDS else None
     factor, unit, date = match.groups()
     unit = unit if unit in SECONDS else WORDS.get(unit.casefold().removesuffix("s"), WORDS.get(unit, ""))
     try:
@@ -96,17 +96,17 @@ def count_of(text: str) -> Count | None:
     if not unit or not float(factor or 1.0) > 0:
         return None
     since = (moment.replace(tzinfo=moment.tzinfo or UTC) - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds()
-    return Count(text, float(factor or 1.0) * SECONDS[unit], since, local=unit == "d" and moment.tzinfo is None)
+    return EpochCount(text, float(factor or 1.0) * SECONDS[unit], since, local=unit == "d" and moment.tzinfo is None)
 
 
-def since_1970(unit: str) -> Count:
+def since_1970(unit: str) -> EpochCount:
     """The count of a unit since 1970."""
-    return Count(f"{unit} since 1970", SECONDS[unit], 0.0)
+    return EpochCount(f"{unit} since 1970", SECONDS[unit], 0.0)
 
 
 # counts with a date that occur, by which numbers are recognised or asked about
 DATED = tuple(
-    Count(count.name if short is None else short, *count[1:])
+    EpochCount(count.name if short is None else short, *count[1:])
     for short, text in (
         *((None, f"{unit} since {year}") for year in (1970, 1904) for unit in UNIX),
         ("excel", "excel"),
@@ -116,7 +116,7 @@ DATED = tuple(
 )
 
 
-def unix(values: Array, unit: str = "") -> Count | None:
+def unix(values: Array, unit: str = "") -> EpochCount | None:
     """The count since 1970 by which all numbers are of the years 1990 to 2099, in that unit, or in any if ""; None if none."""
     for name in (unit,) if unit else UNIX:
         seconds = values * SECONDS[name]
@@ -125,7 +125,7 @@ def unix(values: Array, unit: str = "") -> Count | None:
     return None
 
 
-def dated(values: Array, latest: float) -> list[Count]:
+def dated(values: Array, latest: float) -> list[EpochCount]:
     """The counts by which all numbers are of the years from 1990 to `latest`, s since 1970."""
     ends = np.array([np.min(values), np.max(values)])
     return [c for c in DATED if np.all((c.seconds(ends) >= FIRST) & (c.seconds(ends) <= latest))]
@@ -187,14 +187,14 @@ class AmbiguousTimesError(ValueError):
         self.texts = texts
 
 
-def recognised(values: Array, dt: float | None, latest: float) -> Count | Calendar:
+def recognised(values: Array, dt: float | None, latest: float) -> EpochCount | Calendar:
     """What numbers (K,) without a stated unit are: seconds, a count since 1970 or of days, or digits of the calendar.
 
     dt: the usual step of the plant, s, or None where it is not known. latest: the present, s since 1970, with what a clock may
     be ahead. Where more than seconds fits, dt decides, and AmbiguousTimesError is raised where it does not.
     """
     counted, digits = unix(values), _of_one_calendar(values, calendars(values, latest))
-    first = counted or Count("s", 1.0)
+    first = counted or EpochCount("s", 1.0)
     absurd = counted is None and values.max() > 1e10  # 300 years of seconds
     ahead = counted is not None and float(np.max(counted.seconds(values))) > latest
     if digits and (counted is None or ahead):
@@ -202,18 +202,18 @@ def recognised(values: Array, dt: float | None, latest: float) -> Count | Calend
         seconds_fit = dt is not None and values.max() < LONGEST_COUNT and regular and is_near(usual_step(values), dt)
         if len(digits) == 1 and (not seconds_fit or is_near(_step_as(values, digits[0]), dt or 1.0)):
             return digits[0]
-        possible: list[Count | Calendar] = [*digits, first] if seconds_fit else [*digits]
+        possible: list[EpochCount | Calendar] = [*digits, first] if seconds_fit else [*digits]
         raise AmbiguousTimesError([shown_as(values, c) for c in possible])
     if ahead:
         return first
-    others: list[Count | Calendar] = [c for c in dated(values, latest) if c.name != first.name]
+    others: list[EpochCount | Calendar] = [c for c in dated(values, latest) if c.name != first.name]
     if others and counted is None and values.max() > 1e15:  # 30 million years of seconds
         return others[0]
     others += digits
     if dt is None:
         likely = [c for c in others if 0 < _step_as(values, c) <= 3600.0] if counted is None else []
         if likely and (absurd or not _is_round(values)):
-            raise AmbiguousTimesError([shown_as(values, c) for c in (*likely, Count("us", 1e-6) if absurd else first)])
+            raise AmbiguousTimesError([shown_as(values, c) for c in (*likely, EpochCount("us", 1e-6) if absurd else first)])
         return first
     if is_near(_step_as(values, first), dt) and not absurd:
         return first
@@ -232,16 +232,16 @@ def _of_one_calendar(values: Array, digits: list[Calendar]) -> list[Calendar]:
     return [c for c in digits if c in by_year or _steady_calendar(values, c.name) > steady]
 
 
-def candidates(values: Array, taken: str, dt: float | None, latest: float) -> list[Count | Calendar]:
+def candidates(values: Array, taken: str, dt: float | None, latest: float) -> list[EpochCount | Calendar]:
     """What numbers (K,) may be that are taken as the count of that name, the likeliest first, at most MOST of them.
 
     Those are counts whose steps are within FAR of dt, the nearest first, or without dt between SHORTEST and LONGEST; of counts
     since a date those with dates that a log can have.
     """
-    counts: list[Count | Calendar] = [*calendars(values, latest), *dated(values, latest)]
-    counts += [Count(name, unit) for name, unit in SECONDS.items() if np.max(np.abs(values)) * unit <= LONGEST_COUNT]
+    counts: list[EpochCount | Calendar] = [*calendars(values, latest), *dated(values, latest)]
+    counts += [EpochCount(name, unit) for name, unit in SECONDS.items() if np.max(np.abs(values)) * unit <= LONGEST_COUNT]
 
-    def away(c: Count | Calendar) -> float:
+    def away(c: EpochCount | Calendar) -> float:
         own = _step_as(values, c)
         if not own:
             return 0.0
@@ -250,7 +250,7 @@ def candidates(values: Array, taken: str, dt: float | None, latest: float) -> li
         return 0.0 if SHORTEST <= own <= LONGEST else np.inf
 
     others = [c for c in counts if c.name != taken and away(c) <= np.log(FAR)]
-    return sorted(others, key=lambda c: (round(away(c), 6), isinstance(c, Count) and c.since is None))[:MOST]
+    return sorted(others, key=lambda c: (round(away(c), 6), isinstance(c, EpochCount) and c.since is None))[:MOST]
 
 
 def usual_step(values: Array) -> float:
@@ -264,7 +264,7 @@ def _is_round(values: Array) -> bool:
     return bool(np.all(np.abs(values * 1e3 - np.round(values * 1e3)) < 1e-3))
 
 
-def _step_as(values: Array, what: Count | Calendar) -> float:
+def _step_as(values: Array, what: EpochCount | Calendar) -> float:
     """The usual step (s) of numbers that are counts or digits of a calendar."""
     return usual_step(_seconds_of(values, what.name)) if isinstance(what, Calendar) else usual_step(values) * what.unit
 
@@ -285,9 +285,9 @@ def _steady_calendar(values: Array, form: str) -> float:
     return _steady(_seconds_of(values, form))
 
 
-def shown_as(values: Array, what: Count | Calendar) -> str:
+def shown_as(values: Array, what: EpochCount | Calendar) -> str:
     """A way to read numbers, in a map's words, with the time that it gives the first, and the step: "format = "ms" (...)"."""
-    form = what.name.removesuffix(" since 1970") if isinstance(what, Count) and what.unit <= 1.0 else what.name
+    form = what.name.removesuffix(" since 1970") if isinstance(what, EpochCount) and what.unit <= 1.0 else what.name
     if isinstance(what, Calendar):
         stamps = calendar_stamps(values, what.name)
         assert stamps is not None

@@ -19,7 +19,7 @@ from fusion_sfdia.logs.cell_tables import AGAIN, TIME, Table
 from fusion_sfdia.logs.columns import split_title
 from fusion_sfdia.logs.loaded_log import Finding, counted
 from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap
-from fusion_sfdia.logs.time_order import Rows
+from fusion_sfdia.logs.time_order import LogRows
 
 Array = NDArray[Any]
 
@@ -29,7 +29,7 @@ OF_VALUE = re.compile(rf"(.+?)[ _.:/-]+{VALUE}", re.I)
 FULL = 0.5  # share of the tags in a row, with less of which rows are of single tags
 
 
-class Tagged(NamedTuple):
+class TimedTags(NamedTuple):
     """A table whose tags have columns of times: times by the title of a tag, and the map with the first of them as the time."""
 
     table: Table
@@ -44,13 +44,13 @@ class Tagged(NamedTuple):
         return [t for t, _ in pairs], [u for _, u in pairs]
 
 
-def tagged(table: Table, log_map: LogMap) -> Tagged:
+def tagged(table: Table, log_map: LogMap) -> TimedTags:
     """The table with the columns of times that its tags have: as the map states, by titles that occur again, or by their names.
 
     Of titles such as "level_1 Time" and "level_1 ValueY" the second is "level_1", unless the map names it.
     """
     if log_map.tag:
-        return Tagged(table, log_map, {})
+        return TimedTags(table, log_map, {})
     titles = table.titles
     times = _by_position(titles, log_map) or _by_name(titles)
     if times and log_map.time[0] not in (*titles, *(split_title(t)[0] for t in titles)):
@@ -64,7 +64,7 @@ def tagged(table: Table, log_map: LogMap) -> Tagged:
         if match and title not in log_map.columns and match[1] not in titles:
             names[title] = match[1]
     table = table._replace(titles=[names.get(t, t) for t in titles])
-    return Tagged(table, log_map, {names.get(title, title): time for title, time in times.items()})
+    return TimedTags(table, log_map, {names.get(title, title): time for title, time in times.items()})
 
 
 def _with_usual_time(table: Table, log_map: LogMap) -> tuple[Table, LogMap]:
@@ -148,7 +148,7 @@ def step_of(t: Array, codes: Array, tags: int, log_map: LogMap, dt: float | None
     return dt if np.median(np.diff(at)) < dt / 2 else 0.0
 
 
-def on_grid(frame: Any, names: Sequence[str], step: float, clock: Clock) -> tuple[Rows, Finding]:
+def on_grid(frame: Any, names: Sequence[str], step: float, clock: Clock) -> tuple[LogRows, Finding]:
     """Values of tags, a frame of t, tag (number of the name), value and row, in rows a step apart, and a finding on that.
 
     The times of the rows are whole steps of the wall clock where all values are near them; where tags have others, rows are
@@ -184,4 +184,4 @@ def on_grid(frame: Any, names: Sequence[str], step: float, clock: Clock) -> tupl
     )
     text += f"; {counted(left, 'value')} between these left out" if left else ""
     at = grid * step + phase - midnight
-    return Rows(at, first, dict(zip(names, wide, strict=True))), Finding("grid", "", grid.size, text)
+    return LogRows(at, first, dict(zip(names, wide, strict=True))), Finding("grid", "", grid.size, text)

@@ -13,7 +13,7 @@ from fusion_sfdia.logs.loaded_log import Finding, counted, others
 from fusion_sfdia.logs.log_map import AT_THE_SAMPLE, LogMap
 from fusion_sfdia.logs.mix_ups import input_mix_up
 from fusion_sfdia.logs.problems import Problems
-from fusion_sfdia.logs.time_order import Rows
+from fusion_sfdia.logs.time_order import LogRows
 from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
@@ -32,7 +32,7 @@ def held(t: Array, values: Array, name: str, log_map: LogMap, findings: list[Fin
     return np.where(filled, values[np.maximum(last, 0)], values)
 
 
-def before_the_first(rows: Rows, inputs: Sequence[Source], log_map: LogMap) -> Array:
+def before_the_first(rows: LogRows, inputs: Sequence[Source], log_map: LogMap) -> Array:
     """The rows (K,) at the beginning where an input has had no value yet, which holding cannot fill."""
     early = np.zeros(rows.t.shape, dtype=bool)
     if log_map.hold > 0:
@@ -42,7 +42,7 @@ def before_the_first(rows: Rows, inputs: Sequence[Source], log_map: LogMap) -> A
     return early
 
 
-def require_known(problems: Problems, rows: Rows, c: Source, u: Array, plant: Plant, needed: Array, log_map: LogMap) -> None:
+def require_known(problems: Problems, rows: LogRows, c: Source, u: Array, plant: Plant, needed: Array, log_map: LogMap) -> None:
     """Add to problems an input that is missing or beyond its limits in rows that are needed."""
     own = rows.rows if log_map.inputs != AT_THE_SAMPLE else np.concatenate([rows.rows[:1], rows.rows[:-1]])
     values, signal = u[:, c.position], plant.inputs[c.position]

@@ -19,12 +19,12 @@ from fusion_sfdia.logs.log_map import SPREAD, LogMap
 from fusion_sfdia.logs.mask import mask_titles
 from fusion_sfdia.logs.problems import Problems
 from fusion_sfdia.logs.time_columns import time_columns, ways_of_reading
-from fusion_sfdia.logs.time_order import Rows, dropped, require_one_clock, spread, spread_finding, twice
+from fusion_sfdia.logs.time_order import LogRows, dropped, require_one_clock, spread, spread_finding, twice
 from fusion_sfdia.logs.times import UNKNOWN, Expected, Times, times_of, unknown_times
 from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
-Laid = tuple[Sources, Rows, Times, list[Finding]]
+Laid = tuple[Sources, LogRows, Times, list[Finding]]
 
 
 def wide_rows(
@@ -77,7 +77,7 @@ def wide_rows(
         quality.require_good(table.where)
     findings += cell_units(sources.columns, read)
     sources = sources._replace(columns=tuple(read))
-    rows = Rows(times.t, np.asarray(table.rows), values)
+    rows = LogRows(times.t, np.asarray(table.rows), values)
     if sources.times and (own or log_map.step):
         with problems.collecting("time"):
             rows, times = _by_own_times(table, own, sources, values, log_map, expected, findings, problems)
@@ -93,7 +93,7 @@ def _by_own_times(
     expected: Expected,
     findings: list[Finding],
     problems: Problems,
-) -> tuple[Rows, Times]:
+) -> tuple[LogRows, Times]:
     """The rows of columns of which each may have times of its own; a column without takes those of the map."""
     names, cells, rows, codes = list(values), [], [], []
     for code, name in enumerate(names):
@@ -116,10 +116,10 @@ def _by_own_times(
     unit = sources.time_unit or next((split_title(t)[1] for t in own.values()), "")
     times = times_of(below, below.titles, "" if log_map.format else unit, log_map, code_of, expected)
     numbers = np.concatenate([values[name][k] for name, k in zip(names, rows, strict=True)])
-    return _of_tags(Tagged(below, names, code_of, numbers, times), log_map, expected, findings, problems), times
+    return _of_tags(TaggedValues(below, names, code_of, numbers, times), log_map, expected, findings, problems), times
 
 
-class Tagged(NamedTuple):
+class TaggedValues(NamedTuple):
     """Values (K,) a row of a table, each with its time: of the tags at these positions, `codes` (K,), among the names."""
 
     table: Table
@@ -129,7 +129,7 @@ class Tagged(NamedTuple):
     times: Times
 
 
-def _of_tags(tagged: Tagged, log_map: LogMap, expected: Expected, findings: list[Finding], problems: Problems) -> Rows:
+def _of_tags(tagged: TaggedValues, log_map: LogMap, expected: Expected, findings: list[Finding], problems: Problems) -> LogRows:
     """The rows of values of several tags: at each time a row, or in rows a step apart."""
     import pandas
 
@@ -138,7 +138,7 @@ def _of_tags(tagged: Tagged, log_map: LogMap, expected: Expected, findings: list
     for code, name in enumerate(names):
         of = np.flatnonzero(codes == code)
         with problems.collecting("order"):
-            require_one_clock(table.where, Rows(t[of], numbers[of], {name: values[of]}), times.clock, log_map)
+            require_one_clock(table.where, LogRows(t[of], numbers[of], {name: values[of]}), times.clock, log_map)
         if problems.of("order"):
             break
         if log_map.duplicates == SPREAD:
@@ -168,7 +168,7 @@ def _of_tags(tagged: Tagged, log_map: LogMap, expected: Expected, findings: list
     wide = np.full((len(names), at.size), np.nan)
     wide[frame["tag"].to_numpy(), inverse] = frame["value"].to_numpy()
     first = frame.groupby("t", sort=True)["row"].min().to_numpy()
-    return Rows(at, first, dict(zip(names, wide, strict=True)))
+    return LogRows(at, first, dict(zip(names, wide, strict=True)))
 
 
 def long_rows(
@@ -222,7 +222,7 @@ def long_rows(
     sources = sources._replace(columns=tuple(read))
     if problems.of("cells") or times.kind == UNKNOWN:
         problems.require_none()
-    tagged = Tagged(table, names, codes, values, times)
+    tagged = TaggedValues(table, names, codes, values, times)
     return sources, _of_tags(tagged, log_map, expected, findings, problems), times, findings
 
 

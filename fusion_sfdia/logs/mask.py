@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.common.arguments import shown, some
 from fusion_sfdia.logs.columns import Sources
 from fusion_sfdia.logs.log_map import MASK, LogMap
-from fusion_sfdia.logs.time_order import Rows
+from fusion_sfdia.logs.time_order import LogRows
 
 Array = NDArray[Any]
 
@@ -36,7 +36,7 @@ def mask_titles(where: str, titles: Sequence[str], sources: Sources, log_map: Lo
     return list(dict.fromkeys(also))
 
 
-def masked_rows(where: str, rows: Rows, sources: Sources, log_map: LogMap) -> Array:
+def masked_rows(where: str, rows: LogRows, sources: Sources, log_map: LogMap) -> Array:
     """The rows (K,) in which a comparison of the mask holds, in the units of the log; a missing value compares as before it."""
     masked = np.zeros(rows.t.shape, dtype=bool)
     if not log_map.mask:

@@ -22,7 +22,7 @@ from fusion_sfdia.logs.log_map import AT_THE_SAMPLE, PLAIN_MAP, LogMap, load_map
 from fusion_sfdia.logs.mask import masked_rows
 from fusion_sfdia.logs.overview import overview
 from fusion_sfdia.logs.problems import Problems
-from fusion_sfdia.logs.time_order import Rows, in_order
+from fusion_sfdia.logs.time_order import LogRows, in_order
 from fusion_sfdia.logs.times import UNKNOWN, Expected
 from fusion_sfdia.plant.log import Log, usual_inputs
 from fusion_sfdia.plant.plant import Plant
@@ -97,7 +97,7 @@ def _table(source: Any, log_map: LogMap, problems: Problems) -> Table:
 
 
 def _log(
-    rows: Rows,
+    rows: LogRows,
     sources: Sources,
     plant: Plant,
     log_map: LogMap,

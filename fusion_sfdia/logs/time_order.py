@@ -26,18 +26,18 @@ PLACES = (
 )  # fmt: skip
 
 
-class Rows(NamedTuple):
+class LogRows(NamedTuple):
     """A log by time: t (K,), the row of each time in the file, and the numbers of each column (K,) as logged."""
 
     t: Array
     rows: Array
     values: dict[str, Array]
 
-    def kept(self, chosen: Any) -> Rows:
-        return Rows(self.t[chosen], self.rows[chosen], {title: v[chosen] for title, v in self.values.items()})
+    def kept(self, chosen: Any) -> LogRows:
+        return LogRows(self.t[chosen], self.rows[chosen], {title: v[chosen] for title, v in self.values.items()})
 
 
-def in_order(where: str, rows: Rows, clock: Clock, log_map: LogMap, findings: list[Finding], problems: Problems) -> Rows:
+def in_order(where: str, rows: LogRows, clock: Clock, log_map: LogMap, findings: list[Finding], problems: Problems) -> LogRows:
     """The rows with increasing times: sorted, and one for each time, as the map has it; problems takes what it refuses."""
     back, column = np.flatnonzero(np.diff(rows.t) < 0), " ".join(log_map.time)
     if back.size:
@@ -74,14 +74,14 @@ def in_order(where: str, rows: Rows, clock: Clock, log_map: LogMap, findings: li
     return rows
 
 
-def _one_of_each_time(rows: Rows, which: str) -> Rows:
+def _one_of_each_time(rows: LogRows, which: str) -> LogRows:
     """Sorted rows, of those with one time the first, the last or the mean of the values that are there."""
     import pandas
 
     first = np.flatnonzero(np.diff(rows.t, prepend=-np.inf) > 0)
     merged = pandas.DataFrame(rows.values).groupby(rows.t, sort=True).agg(which) if rows.values else None
     values = {} if merged is None else {n: merged[n].to_numpy() for n in rows.values}
-    return Rows(rows.t[first], rows.rows[first], values)
+    return LogRows(rows.t[first], rows.rows[first], values)
 
 
 def spread(t: Array) -> Array:
@@ -105,7 +105,7 @@ def spread(t: Array) -> Array:
     return found
 
 
-def require_one_clock(where: str, rows: Rows, clock: Clock, log_map: LogMap) -> None:
+def require_one_clock(where: str, rows: LogRows, clock: Clock, log_map: LogMap) -> None:
     """Raise ValueError, with what has happened and the cure, where the clock of the logger was set back among the rows.
 
     Where times go back, the rows before and after are two runs. Runs that do not overlap were joined in another order, and of
@@ -140,7 +140,7 @@ def require_one_clock(where: str, rows: Rows, clock: Clock, log_map: LogMap) -> 
         raise ValueError(f"{at}; {cause}{joined}")
 
 
-def stuck_dates(rows: Rows, clock: Clock) -> list[Finding]:
+def stuck_dates(rows: LogRows, clock: Clock) -> list[Finding]:
     """A finding on rows behind a midnight at which the date did not change, which sorting puts before those of the evening.
 
     Parts of one day that were joined in another order follow each other once sorted; these leave most of a day between.
@@ -202,7 +202,7 @@ def _is_reset(clock: Clock, t: float) -> bool:
     return at.year in RESETS and at.timetuple().tm_yday <= 2
 
 
-def _same_rows(rows: Rows, before: Array, after: Array) -> bool:
+def _same_rows(rows: LogRows, before: Array, after: Array) -> bool:
     """Whether rows of two runs are the same ones, as where exports overlap."""
     both, a, b = np.intersect1d(rows.t[before], rows.t[after], return_indices=True)
     if both.size < 0.9 * min(before.size, after.size):

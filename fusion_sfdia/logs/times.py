@@ -18,7 +18,7 @@ from fusion_sfdia.logs.epochs import (
     IN_WORDS,
     AmbiguousTimesError,
     Calendar,
-    Count,
+    EpochCount,
     calendar_stamps,
     calendars,
     count_of,
@@ -245,7 +245,7 @@ def _of_numbers(
             f"{table.text(int(np.argmax(np.isnan(values))))}, column {title}: ''; expected a finite number in each row"
         )
     given = log_map.format or unit
-    count: Count | Calendar | None = Calendar(given) if log_map.has_pattern else count_of(given) if given else None
+    count: EpochCount | Calendar | None = Calendar(given) if log_map.has_pattern else count_of(given) if given else None
     if count is None:
         try:
             count = recognised(values, expected.dt, expected.latest)

@@ -113,7 +113,7 @@ class Topology:
         return np.repeat(self.start[nodes] - first, count) + np.arange(count.sum()), first
 
 
-class Change(NamedTuple):
+class TopologyChange(NamedTuple):
     """All that changes in a network when nodes join or leave it.
 
     nodes, plugged (M,): those that join (True) or leave. sides, closed (K,): where links close (True) or open. touched: the
@@ -166,7 +166,7 @@ class Network:
         at = self.topology
         return tuple(at.names[j] for j in at.neighbour[self.sides(at.index(name))])
 
-    def change(self, *, plug_in: Iterable[str] = (), unplug: Iterable[str] = ()) -> Change:
+    def change(self, *, plug_in: Iterable[str] = (), unplug: Iterable[str] = ()) -> TopologyChange:
         """The change when nodes join and leave at the same time; the cost grows with their links only.
 
         ValueError for an unknown node, one named twice, one to plug in that is plugged in, one to unplug that is not, or
@@ -189,13 +189,13 @@ class Network:
             place = np.minimum(np.searchsorted(nodes, ends), nodes.size - 1)
             both &= np.where(nodes[place] == ends, plugged[place], self.plugged[ends])
         other = both != self.closed[sides]
-        return Change(nodes, plugged, sides[other], both[other], np.unique(at.node[sides[other]]))
+        return TopologyChange(nodes, plugged, sides[other], both[other], np.unique(at.node[sides[other]]))
 
     def switched(self, *, plug_in: Iterable[str] = (), unplug: Iterable[str] = ()) -> Network:
         """The network after nodes joined and left it together; ValueError as in `change`."""
         return self.after(self.change(plug_in=plug_in, unplug=unplug))
 
-    def after(self, change: Change) -> Network:
+    def after(self, change: TopologyChange) -> Network:
         """The network after a change of it."""
         plugged = self.plugged.copy()
         plugged[change.nodes] = change.plugged

@@ -58,7 +58,7 @@ class Parameter:
         _require_treatment(f"parameter {self.name!r}", self.treatment)
 
 
-class Spread(NamedTuple):
+class PriorSpread(NamedTuple):
     """How far numbers of one kind may differ from the model, apart from their values.
 
     sd, rate: as of `Parameter`, over its nominal value; of a temperature in K in kelvin.

@@ -36,7 +36,7 @@ METRICS = {"false": "false_isolation_probability", **{k: f"{k}_verdict_probabili
 DELAY, RIGHT_EVENT = "median_delay_rows", "right_event_probability"
 
 
-class Outcome(NamedTuple):
+class TrialOutcome(NamedTuple):
     """A trial: how many rows it has, how many are judged, and how many are of each of `KINDS`, of all or of those judged.
 
     Judged are the rows with a cause, without one all. False, of all rows: a healthy sensor is isolated. Right: exactly the
@@ -77,7 +77,7 @@ class CaseResult(NamedTuple):
 
 def outcomes(
     detector: Detector, case: Case, seeds: Sequence[int], steps: int = STEPS, plant: Plant | None = None
-) -> tuple[list[Outcome], str]:
+) -> tuple[list[TrialOutcome], str]:
     """Diagnose the trials of a case: the detector steps through all of them at once, then each is judged on its own.
 
     The trials have the same times. A trial whose truth leaves the limits of the plant is left out, and the text says why.
@@ -107,7 +107,7 @@ def outcomes(
 
 def judged_trial(
     detector: Detector, case: Case, made: Trial, track: Track, gaps: tuple[Gap, ...], decisions: Decision
-) -> Outcome:
+) -> TrialOutcome:
     """What the decisions on a trial are worth; events, which take a second look at the readings, only where something is
     isolated or the process is named.
     """
@@ -133,7 +133,7 @@ def judged_trial(
     undecided = ~right & ~wrong & (suspected | decisions.diverged)
     judged_kinds = (right, undecided, wrong, ~(right | undecided | wrong))
     first = np.flatnonzero(right[judged])
-    return Outcome(
+    return TrialOutcome(
         rows=len(faulty),
         judged=int(judged.sum()),
         counts=(int(false.sum()), *(int((which & judged).sum()) for which in judged_kinds)),
@@ -155,7 +155,7 @@ def lasting(held: Array) -> Array:
     return found
 
 
-def result_of(case: Case, seeds: int, found: Sequence[Outcome], left_out: str) -> CaseResult:
+def result_of(case: Case, seeds: int, found: Sequence[TrialOutcome], left_out: str) -> CaseResult:
     """The shares over the trials of a case, one of each seed but those that are left out."""
     counts = np.array([o.counts for o in found]).reshape(-1, len(KINDS))
     rows, judged = (np.array([getattr(o, what) for o in found], int) for what in ("rows", "judged"))
@@ -235,7 +235,7 @@ class _Work(NamedTuple):
     steps: int
 
 
-def _done(work: _Work) -> tuple[int, list[Outcome], str]:
+def _done(work: _Work) -> tuple[int, list[TrialOutcome], str]:
     """The outcomes of a case, and why trials are left out."""
     return work.position, *outcomes(work.make(), work.case, work.seeds, work.steps)
 

@@ -25,7 +25,7 @@ SHARE = (0.1, 0.3)  # of the samples, with a spike
 OTHERS = ("not named", "not found")
 
 
-class Trial(NamedTuple):
+class KindTrial(NamedTuple):
     """A fault, as what it was named (a kind, or one of OTHERS), whether the 95 % interval of its size holds the true one (None
     without an interval), and how many other sensors had an event.
     """
@@ -54,7 +54,7 @@ def drawn(kind: str, plant: Plant, seed: int) -> Fault:
     )
 
 
-def kind_trials(detector: Detector, seeds: Sequence[int]) -> list[Trial]:
+def kind_trials(detector: Detector, seeds: Sequence[int]) -> list[KindTrial]:
     """Diagnose one fault of each of KINDS for each seed, each in a log of its own of 160 samples, from the 60th on.
 
     The fault counts as what the longest event of its sensor while it acts is named.
@@ -76,11 +76,11 @@ def kind_trials(detector: Detector, seeds: Sequence[int]) -> list[Trial]:
                 size = abs(fault.magnitude) if kind in ("noise", "spikes") else fault.magnitude
                 covered = best.low <= size <= best.high or (kind == "spikes" and best.low <= -size <= best.high)
             named = OTHERS[1] if best is None else best.fault or OTHERS[0]
-            found.append(Trial(fault, named, covered, len({e.hypothesis for e in sensors} - {fault.sensor})))
+            found.append(KindTrial(fault, named, covered, len({e.hypothesis for e in sensors} - {fault.sensor})))
     return found
 
 
-def confusion(trials: Sequence[Trial]) -> list[list[int]]:
+def confusion(trials: Sequence[KindTrial]) -> list[list[int]]:
     """How often a fault of each of KINDS (rows) was named as each of KINDS and OTHERS (columns)."""
     named = (*KINDS, *OTHERS)
     table = [[0] * len(named) for _ in KINDS]

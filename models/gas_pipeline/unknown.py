@@ -14,15 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.models.gas_pipeline.equations import UNKNOWN, PipelineParameters
-from fusion_sfdia.plant.uncertainty import Parameter, Spread
+from fusion_sfdia.plant.uncertainty import Parameter, PriorSpread
 
 Array = NDArray[Any]
 
 SPREAD = {
-    "roughness": Spread("m", 0.3, 0.0, "tables give pipes of one kind a factor of two; 30 % is our choice"),
-    "ambient": Spread("K", 2.5, 0.1, "ground at laying depth follows the seasons by several kelvin, by one in a week"),
-    "heat_transfer": Spread("W/(m2 K)", 0.3, 0.0, "conductivity of soil: by a factor of two between dry and wet; our choice"),
-    "gas_constant": Spread(
+    "roughness": PriorSpread("m", 0.3, 0.0, "tables give pipes of one kind a factor of two; 30 % is our choice"),
+    "ambient": PriorSpread("K", 2.5, 0.1, "ground at laying depth follows the seasons by several kelvin, by one in a week"),
+    "heat_transfer": PriorSpread(
+        "W/(m2 K)", 0.3, 0.0, "conductivity of soil: by a factor of two between dry and wet; our choice"
+    ),
+    "gas_constant": PriorSpread(
         "J/(kg K)",
         0.01,
         0.001,

@@ -16,7 +16,7 @@ from fusion_sfdia.diagnosis.faults import Fault
 from fusion_sfdia.models.marine_engine.faults import EngineFault
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters
 from fusion_sfdia.models.marine_engine.plant import marine_engine
-from fusion_sfdia.models.marine_engine.published import THREE_FAULTS, Offset
+from fusion_sfdia.models.marine_engine.published import THREE_FAULTS, PublishedOffset
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.results import Published
 from fusion_sfdia.study.cases import ComparisonCases, MismatchCase, PaperFault, ProcessFaultCase, PublishedDelay
@@ -69,7 +69,7 @@ def failing(kind: str, severity: float, onset: float) -> Plant:
     return marine_engine(process_faults=[EngineFault(kind, severity, onset)])
 
 
-def offset_fault(offset: Offset, plant: Plant, sensor: str, seed: int, onset: float, length: float) -> Fault:
+def offset_fault(offset: PublishedOffset, plant: Plant, sensor: str, seed: int, onset: float, length: float) -> Fault:
     """An offset of the papers."""
     return Fault(sensor, "bias", onset, length, offset.magnitude)
 

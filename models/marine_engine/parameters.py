@@ -39,7 +39,7 @@ ABOVE_ONE = {"geometric_compression", "n_expansion", "n_blowdown", "kappa_air", 
 AT_MOST_ONE = {"heat_efficiency", "X_ct_nominal", "turbine_efficiency", "compressor_efficiency", "inlet_effectiveness"}
 
 
-class Value(NamedTuple):
+class SourcedValue(NamedTuple):
     """A number in its SI unit and where it comes from."""
 
     value: float
@@ -92,7 +92,7 @@ EXPECTED = {  # name in the file: SI unit
 }
 
 
-def load_engine(path: str | Path = ENGINE_FILE) -> dict[str, Value]:
+def load_engine(path: str | Path = ENGINE_FILE) -> dict[str, SourcedValue]:
     """Read an engine's file: {name: Value in SI}.
 
     Raises ValueError naming the file and the parameter where it is no TOML, a parameter is missing or unknown, an entry lacks
@@ -111,10 +111,10 @@ def load_engine(path: str | Path = ENGINE_FILE) -> dict[str, Value]:
     return {name: _value(f"{path}: {name}", name, document[name]) for name in EXPECTED}
 
 
-def _value(where: str, name: str, entry: Any) -> Value:
-    if not isinstance(entry, dict) or set(entry) != set(Value._fields):
+def _value(where: str, name: str, entry: Any) -> SourcedValue:
+    if not isinstance(entry, dict) or set(entry) != set(SourcedValue._fields):
         raise ValueError(f"{where} is {entry!r}; expected a table of value, unit, provenance, source")
-    number, unit, provenance, source = (entry[key] for key in Value._fields)
+    number, unit, provenance, source = (entry[key] for key in SourcedValue._fields)
     if isinstance(number, bool) or not isinstance(number, int | float) or not np.isfinite(number):
         raise ValueError(f"{where} has the value {number!r}; expected a finite number")
     si = EXPECTED[name]
@@ -126,7 +126,7 @@ def _value(where: str, name: str, entry: Any) -> Value:
     if not isinstance(source, str) or not source.strip():
         raise ValueError(f"{where} names no source; state where the number comes from")
     require_range(where, name, number * factors[unit])
-    return Value(float(number) * factors[unit], si, provenance, source)
+    return SourcedValue(float(number) * factors[unit], si, provenance, source)
 
 
 def require_range(where: str, name: str, value: float) -> None:
@@ -140,7 +140,7 @@ def require_range(where: str, name: str, value: float) -> None:
         raise ValueError(f"{where} is {value:g}; expected {expected}")
 
 
-def engine_parameters(values: Mapping[str, Value] | str | Path = ENGINE_FILE, **changes: float) -> EngineParameters:
+def engine_parameters(values: Mapping[str, SourcedValue] | str | Path = ENGINE_FILE, **changes: float) -> EngineParameters:
     """Return what the equations need, from an engine's values or its file; `changes` replace single values (SI).
 
     Raises ValueError for an unknown or impossible value, and where full load cannot be in equilibrium.

@@ -39,7 +39,7 @@ from fusion_sfdia.models.marine_engine.physics import UNIT, decay_rates, engine_
 from fusion_sfdia.plant.discretise import discretise
 from fusion_sfdia.plant.plant import Plant, Structure, Truth, with_same_states
 from fusion_sfdia.plant.signals import Sensor
-from fusion_sfdia.plant.uncertainty import Spread, Uncertainty
+from fusion_sfdia.plant.uncertainty import PriorSpread, Uncertainty
 
 Array = NDArray[Any]
 
@@ -49,18 +49,22 @@ INITIAL = 0.01  # standard deviation of x0, relative; our choice
 PROCESS = (1e-3, 1e-3, 1e-4)  # standard deviation of the process noise in 0.01 s, relative; our choice
 QUANTITY = {"f": "fuel", "p": "pressure", "T": "temperature", "t": "torque"}
 SPREAD = {
-    "load": Spread(
+    "load": PriorSpread(
         "W s3",
         0.05,
         0.02,
         "a propeller law holds for one draught and weather; hull fouling takes 5 to 15 % between dockings",
     ),
-    "heat": Spread(
+    "heat": PriorSpread(
         "J/kg", 0.015, 0.0, "heating values of marine distillates differ by a percent, the share released by another"
     ),
-    "turbine_area": Spread("m2", 0.03, 1e-4, "deposits narrow the nozzle ring by some percent between cleanings; our choice"),
-    "turbocharger_efficiency": Spread("1", 0.02, 1e-4, "a fouled compressor loses a few percent between washings; our choice"),
-    "T_cooler": Spread("K", 3.0, 0.5, "sea water and valves of the cooler; our choice"),
+    "turbine_area": PriorSpread(
+        "m2", 0.03, 1e-4, "deposits narrow the nozzle ring by some percent between cleanings; our choice"
+    ),
+    "turbocharger_efficiency": PriorSpread(
+        "1", 0.02, 1e-4, "a fouled compressor loses a few percent between washings; our choice"
+    ),
+    "T_cooler": PriorSpread("K", 3.0, 0.5, "sea water and valves of the cooler; our choice"),
 }
 FUEL_SETTING = 0.01  # standard deviation of the rack's error, of full load; our choice
 SENSORS = {  # sensor: variable, in the order of K24 (29), (34), (44), (50)

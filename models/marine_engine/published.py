@@ -17,7 +17,7 @@ K24, K22 = "Kougiatsos 2024", "Kougiatsos 2022"
 PAPERS = {"K24": K24, "K22": K22}
 
 
-class Offset(NamedTuple):
+class PublishedOffset(NamedTuple):
     """A permanent offset of a sensor from its onset (s) on, in the sensor's unit."""
 
     sensor: str
@@ -28,7 +28,7 @@ class Offset(NamedTuple):
 class Experiment(NamedTuple):
     """A published run: faults, length (s), noise bound over the nominal value, and when modules fired (s)."""
 
-    faults: tuple[Offset, ...]
+    faults: tuple[PublishedOffset, ...]
     duration: float
     noise: float
     fired: Mapping[str, float]
@@ -40,14 +40,18 @@ class Experiment(NamedTuple):
 
 
 THREE_FAULTS = Experiment(
-    (Offset("S(2){3}", 20.0, -3.8e4), Offset("S(3){1}", 45.0, 5e4), Offset("S(4){2}", 70.0, 8.0)),  # N m, Pa, K
+    (
+        PublishedOffset("S(2){3}", 20.0, -3.8e4),
+        PublishedOffset("S(3){1}", 45.0, 5e4),
+        PublishedOffset("S(4){2}", 70.0, 8.0),
+    ),  # N m, Pa, K
     100.0,  # s, not stated; the axes of Fig. 4 were not available. Our choice by P^E, see tests/test_diagnosis_metrics.py
     0.05,
     {"M(2,3)": 20.0, "M(3,1)": 45.06, "M(3,3)": 69.9, "M(4,2)": 70.01},
     f"{K24}, Fig. 4 and sec. VII, one run",
 )
 TWO_FAULTS = Experiment(
-    (Offset("S(3){1}", 10.0, 5e4), Offset("S(4){2}", 20.0, 8.0)),
+    (PublishedOffset("S(3){1}", 10.0, 5e4), PublishedOffset("S(4){2}", 20.0, 8.0)),
     60.0,
     0.03,
     {"M(3,1)": 10.0, "M(4,2)": 20.0, "M(3,2)": 22.1, "M(4,3)": 25.3},

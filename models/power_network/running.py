@@ -10,7 +10,7 @@ import numpy as np
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import NetworkModel
 from fusion_sfdia.plant.areas import Areas
-from fusion_sfdia.plant.network import Change, Network
+from fusion_sfdia.plant.network import Network, TopologyChange
 
 
 class RunningNetwork:
@@ -32,7 +32,7 @@ class RunningNetwork:
         """The present model, in the arrays that the next switch changes."""
         return replace(self._model)
 
-    def switch(self, *, plug_in: Iterable[str] = (), unplug: Iterable[str] = ()) -> Change:
+    def switch(self, *, plug_in: Iterable[str] = (), unplug: Iterable[str] = ()) -> TopologyChange:
         """Let areas join and leave, all at once, after the step at which they do; return what changed.
 
         The diagnosers go on with their state: a copy whose tie closes starts from its first reading. ValueError as of

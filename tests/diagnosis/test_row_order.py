@@ -13,7 +13,7 @@ from toy_plants import readings, tanks
 from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.diagnosis import row_order as order
-from fusion_sfdia.diagnosis.row_order import InOrder, Row
+from fusion_sfdia.diagnosis.row_order import InOrder, WatchRow
 from fusion_sfdia.diagnosis.watch import Watch
 from fusion_sfdia.live.saving import SavedWatch
 
@@ -52,7 +52,7 @@ def pushed(one: InOrder, times: list[float]) -> tuple[list[float], list[list[flo
     """What is returned in all, and after each row, if what is returned is diagnosed."""
     last, found = None, []
     for t in times:
-        due = [row.t for row, _ in one.push(Row(t, np.empty(0), np.empty(0)), last, Clock())]
+        due = [row.t for row, _ in one.push(WatchRow(t, np.empty(0), np.empty(0)), last, Clock())]
         last = due[-1] if due else last
         found.append(due)
     return [t for due in found for t in due], found

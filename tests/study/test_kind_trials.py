@@ -9,14 +9,16 @@ from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBa
 from fusion_sfdia.diagnosis.fault_kinds import KINDS
 from fusion_sfdia.diagnosis.faults import Fault
 from fusion_sfdia.models.two_tanks.plant import two_tanks
-from fusion_sfdia.study.kind_trials import OTHERS, Trial, confusion, kind_trials
+from fusion_sfdia.study.kind_trials import OTHERS, KindTrial, confusion, kind_trials
 
 RIGHT = 0.95  # of the faults, at least, on the page of results
 
 
 def test_the_table_counts_what_was_named() -> None:
     bias = Fault("a", "bias", 1.0, magnitude=1.0)
-    table = confusion([Trial(bias, "bias", True, 0), Trial(bias, "drift", None, 0), Trial(bias, "not found", None, 0)])
+    table = confusion(
+        [KindTrial(bias, "bias", True, 0), KindTrial(bias, "drift", None, 0), KindTrial(bias, "not found", None, 0)]
+    )
     assert table[0] == [1, 1, 0, 0, 0, 0, 0, 1] and sum(map(sum, table)) == 3
     assert len(table[0]) == len(KINDS) + len(OTHERS)
 

@@ -37,7 +37,7 @@ ONSETS = (150, 400, 650)  # samples of d00_te
 END = 20  # samples at the end of a drift
 
 
-class Case(NamedTuple):
+class Measurement(NamedTuple):
     """The position of the measurement, the meaning of sigma, and the sample of d00_te at which the fault begins."""
 
     position: int
@@ -45,9 +45,9 @@ class Case(NamedTuple):
     onset: int
 
 
-def cases(task: Task) -> list[Case]:
+def cases(task: Task) -> list[Measurement]:
     """The faulty runs of each kind."""
-    return [Case(number - 1, sigma, onset) for number, sigma, onset in product(task["measurements"], SIGMAS, ONSETS)]
+    return [Measurement(number - 1, sigma, onset) for number, sigma, onset in product(task["measurements"], SIGMAS, ONSETS)]
 
 
 @cache

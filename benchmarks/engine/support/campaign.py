@@ -49,7 +49,7 @@ DRAWN = 100  # samples of noise drawn at once
 ROOM = 1.2  # margin of the drifts over those in the transients
 
 
-class Truth(NamedTuple):
+class NoiseFreeRun(NamedTuple):
     """A run without noise: times (K,) s, fuel settings (K, 1) and what healthy sensors without noise read, (K, N)."""
 
     t: Array
@@ -58,7 +58,7 @@ class Truth(NamedTuple):
 
 
 @cache
-def truth(duration: float, drive: str = "constant", at: float = 0.0, fault: tuple[str, float] | None = None) -> Truth:
+def truth(duration: float, drive: str = "constant", at: float = 0.0, fault: tuple[str, float] | None = None) -> NoiseFreeRun:
     """The engine for `duration` seconds under one of DRIVES, which acts at `at`, as a process fault (kind, severity) does.
 
     Computed on finer steps than the detector's.
@@ -75,7 +75,7 @@ def truth(duration: float, drive: str = "constant", at: float = 0.0, fault: tupl
     elif drive == "step":
         changes["inputs"] = lambda t: np.array([LOWER_LOAD if t >= at else 1.0])
     run = simulate(plant, steps, [0], **changes)
-    return Truth(run.t, run.u, run.signal[:, 0])
+    return NoiseFreeRun(run.t, run.u, run.signal[:, 0])
 
 
 def noise(plant: Plant, steps: int, seeds: Sequence[int]) -> Iterator[Array]:

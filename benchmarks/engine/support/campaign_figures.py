@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.benchmarks.engine.support.campaign import DRIVES
 from fusion_sfdia.benchmarks.engine.support.decisions import draw_modules
 from fusion_sfdia.models.marine_engine.plant import SENSORS
-from fusion_sfdia.models.marine_engine.published import Experiment, Offset
+from fusion_sfdia.models.marine_engine.published import Experiment, PublishedOffset
 from fusion_sfdia.report.content import Figure
 from fusion_sfdia.report.plots import COLOURS, DASHES, legend_above, panels
 from fusion_sfdia.study.experiments.scenario import Arrays, Settings
@@ -43,7 +43,7 @@ def run_figure(
 ) -> Figure:
     """One run: its trace (3, K, M) and first firings (M,); onsets: what begins, s, described by `mark` in the legend."""
     experiment = Experiment(
-        tuple(Offset(what, at, 0.0) for what, at in onsets), settings["duration"], settings["noise"], {}, ""
+        tuple(PublishedOffset(what, at, 0.0) for what, at in onsets), settings["duration"], settings["noise"], {}, ""
     )
     begun = "; ".join(f"{what} from {at:g} s on" for what, at in onsets)
     return Figure(

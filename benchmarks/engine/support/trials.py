@@ -24,7 +24,7 @@ from fusion_sfdia.diagnosis.simulate import Recording, simulate
 from fusion_sfdia.models.marine_engine.equations import NOMINAL_SPEED
 from fusion_sfdia.models.marine_engine.modules import MODULES
 from fusion_sfdia.models.marine_engine.plant import marine_engine
-from fusion_sfdia.models.marine_engine.published import AT_NOMINAL_SPEED, DESIGNS, Offset
+from fusion_sfdia.models.marine_engine.published import AT_NOMINAL_SPEED, DESIGNS, PublishedOffset
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.results import row_of
 from fusion_sfdia.study.experiments.scenario import Arrays, Settings, Task, seed_blocks
@@ -84,7 +84,7 @@ def offsets(plant: Plant, t: Array, y: Array, faults: Iterable[Sequence[Any]]) -
     return apply_faults(plant, t, y, listed).y if listed else y
 
 
-def tasks(settings: Settings, faults: Sequence[Offset], seeds: int, design: str = "K24") -> list[Task]:
+def tasks(settings: Settings, faults: Sequence[PublishedOffset], seeds: int, design: str = "K24") -> list[Task]:
     """Tasks of CHUNK runs and one detector each; ValueError for settings with which no run is possible."""
     if not 0 < settings["noise"] <= MOST_NOISE:
         raise ValueError(
@@ -176,7 +176,7 @@ class Timeline(NamedTuple):
     isolated: Array
 
 
-def timeline(first: Array, faults: Sequence[Offset], duration: float) -> Timeline:
+def timeline(first: Array, faults: Sequence[PublishedOffset], duration: float) -> Timeline:
     """The decisions in runs (B, M) whose modules fired first at these times (s), and the true faults."""
     plant = engine(0.05, "K24")
     times = np.concatenate([[0.0, duration], [f.onset for f in faults], first[np.isfinite(first)]])

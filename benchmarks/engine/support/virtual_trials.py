@@ -26,13 +26,17 @@ from fusion_sfdia.benchmarks.engine.support.trials import (
     trial,
 )
 from fusion_sfdia.detectors.adaptive_thresholds.virtual_sensors import VirtualSensors
-from fusion_sfdia.models.marine_engine.published import Offset
+from fusion_sfdia.models.marine_engine.published import PublishedOffset
 from fusion_sfdia.report.results import AT_MOST, Published
 from fusion_sfdia.study.experiments.scenario import Arrays, Settings, Task, seed_blocks
 
 NAME, FAULT, DETECTOR = "engine/virtual-sensors", "three-faults", "virtual-sensors"
 V22 = "Kougiatsos and Reppa 2022, sec. 5, one run"
-FAULTS = (Offset("S(2){3}", 10.0, 5e3), Offset("S(3){1}", 10.0, 5e4), Offset("S(4){2}", 20.0, 100.0))  # N m, Pa, K
+FAULTS = (
+    PublishedOffset("S(2){3}", 10.0, 5e3),
+    PublishedOffset("S(3){1}", 10.0, 5e4),
+    PublishedOffset("S(4){2}", 20.0, 100.0),
+)  # N m, Pa, K
 SIZED = ("M(2,3)", "M(3,1)", "M(4,2)")  # the modules of these sensors
 SINCE = (40.0, 20.0, 20.0)  # s, t_0
 MAPE = (8.76, 0.26, 3.74)  # percent
@@ -95,11 +99,17 @@ def sensor_work(task: Task) -> Arrays:
     detector = virtual_sensors(task["noise"], task["variant"], task["inversion"])
     healthy = recording(task["noise"], round(task["duration"] / detector.plant.dt), tuple(task["seeds"]))
     y = offsets(detector.plant, healthy.t, healthy.y, task["faults"])
-    return follow(detector, healthy.t, y, healthy.u, healthy.signal, [Offset(*f) for f in task["faults"]], SINCE)
+    return follow(detector, healthy.t, y, healthy.u, healthy.signal, [PublishedOffset(*f) for f in task["faults"]], SINCE)
 
 
 def follow(
-    detector: VirtualSensors, t: Array, y: Array, u: Array, signal: Array, faults: Sequence[Offset], from_: Sequence[float]
+    detector: VirtualSensors,
+    t: Array,
+    y: Array,
+    u: Array,
+    signal: Array,
+    faults: Sequence[PublishedOffset],
+    from_: Sequence[float],
 ) -> Arrays:
     """Decisions of virtual sensors on readings y (K, B, N) of `signal` (K, B, N) at t (K,) under u (K, m), of the F faults.
 

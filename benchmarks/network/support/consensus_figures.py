@@ -30,7 +30,7 @@ LABELS = {
 Parts = Mapping[tuple[str, float], Mapping[int, Mapping[str, Mapping[str, float]]]]  # {(noise, memory): {sharers: {weights: ...
 
 
-class Case(NamedTuple):
+class SharedCopies(NamedTuple):
     """Copies of the angles that `sharers` areas share, read by one of COPIES, with weights ALONE or one of WEIGHTS."""
 
     noise: str
@@ -45,7 +45,7 @@ class Variance(NamedTuple):
     """The key of a row: a metric of a case."""
 
     metric: str
-    of: Case
+    of: SharedCopies
 
     @property
     def quantity(self) -> str:
@@ -72,7 +72,7 @@ def ratio_figure(rows: Rows) -> Figure:
         for panel, (noise, lam) in zip(axes, cases, strict=True):
             series = []
             for label, metric in (("measured", RATIO), ("theory", f"{RATIO}_theory")):
-                keys = [Variance(metric, Case(noise, "equal", lam, s, COPIES[0], "corrected")) for s in SHARERS]
+                keys = [Variance(metric, SharedCopies(noise, "equal", lam, s, COPIES[0], "corrected")) for s in SHARERS]
                 found = [_one(rows, key) for key in keys]
                 series.append(Bars(label, *_limits(found), [np.nan] * 3))
             bars(panel, [f"{s} sharers" for s in SHARERS], series, ylabel="variance over that alone")
@@ -133,7 +133,7 @@ def unequal_figure(rows: Rows) -> Figure:
         for panel, (noise, copy) in zip(axes, cases, strict=True):
             series = []
             for label, weights in (("(17) corrected", "corrected"), ("(17) as printed", "paper")):
-                keys = [Variance(RATIO, Case(noise, "unequal", 0.0, s, copy, weights)) for s in SHARERS]
+                keys = [Variance(RATIO, SharedCopies(noise, "unequal", 0.0, s, copy, weights)) for s in SHARERS]
                 found = [_one(rows, key) for key in keys]
                 series.append(Bars(label, *_limits(found), [np.nan] * 3))
             bars(panel, [f"{s} sharers" for s in SHARERS], series, ylabel="variance over that alone")

@@ -37,7 +37,7 @@ SHOWN = ("t", "reference", "reached", "load", "angles", "speeds", "residual", "d
 
 
 @dataclass(frozen=True)
-class Watch:
+class WatchedRuns:
     """The diagnosis of the runs: the area whose alarms count from `onset` (s) on, and the mode of the diagnosers.
 
     hypotheses: faults of the area by name, None for no fault; none at all for no isolation. alpha, exclusions: thresholds and
@@ -55,7 +55,7 @@ class Watch:
 
 def trial(
     model: NetworkModel,
-    watch: Watch,
+    watch: WatchedRuns,
     steps: int,
     seeds: Sequence[int],
     *,
@@ -169,7 +169,7 @@ class Answers:
     (B, L): time at which each hypothesis was excluded. gain (B,): of the input as isolated last, 1 before.
     """
 
-    def __init__(self, areas: Areas, model: NetworkModel, watch: Watch, runs: int) -> None:
+    def __init__(self, areas: Areas, model: NetworkModel, watch: WatchedRuns, runs: int) -> None:
         self.observer = observer(areas, model, watch)
         self.faults = [fault for _, fault in watch.hypotheses]
         self.state = None if self.observer is None else self.observer.idle(runs)
@@ -198,7 +198,7 @@ class Answers:
         return {name: getattr(self, name) for name in names} if self.faults else {}
 
 
-def observer(areas: Areas, model: NetworkModel, watch: Watch) -> FaultHypotheses | None:
+def observer(areas: Areas, model: NetworkModel, watch: WatchedRuns) -> FaultHypotheses | None:
     """The isolation of the diagnosed area; None without hypotheses."""
     functions = {
         name: (lambda x, u, e: np.zeros(x.shape)) if fault is None else fault_function(model, fault)

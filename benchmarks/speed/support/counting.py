@@ -50,7 +50,7 @@ _compiled: set[CodeType] = set()
 multiply_adds: Counter[int] = Counter()  # of matrices, by the bytes of a number
 
 
-class Work(NamedTuple):
+class CallWork(NamedTuple):
     """What a call did, see above, or exponents of it."""
 
     python: float
@@ -58,7 +58,7 @@ class Work(NamedTuple):
     memory: float
 
 
-def counted(call: Callable[[], object]) -> Work:
+def counted(call: Callable[[], object]) -> CallWork:
     """Count a call; it is called once before, so that what is built once is not counted."""
     call()
     python = inside = elements = depth = last = peak = 0
@@ -93,7 +93,7 @@ def counted(call: Callable[[], object]) -> Work:
     finally:
         sys.settrace(before)
         tracemalloc.stop()
-    return Work(python, inside + multiply_adds.total() + elements // ELEMENT, peak - first)
+    return CallWork(python, inside + multiply_adds.total() + elements // ELEMENT, peak - first)
 
 
 def growth(one: float, two: float, four: float) -> float:

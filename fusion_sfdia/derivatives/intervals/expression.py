@@ -79,7 +79,7 @@ DOMAINS: dict[np.ufunc, Callable[..., Array]] = {
 }
 
 
-class Symbol(NDArrayOperatorsMixin):
+class IntervalSymbol(NDArrayOperatorsMixin):
     """A slot during recording: an operation on it adds a slot."""
 
     __slots__ = ("index", "slots")
@@ -93,8 +93,8 @@ class Symbol(NDArrayOperatorsMixin):
             del kwargs["out"]
         if method != "__call__" or kwargs or ufunc not in KERNELS:
             raise TypeError(f"{ufunc.__name__} is not available for equations on intervals")
-        operands = tuple(x.index if isinstance(x, Symbol) else add_constant(self.slots, x) for x in inputs)
-        return Symbol(self.slots, (ufunc, operands))
+        operands = tuple(x.index if isinstance(x, IntervalSymbol) else add_constant(self.slots, x) for x in inputs)
+        return IntervalSymbol(self.slots, (ufunc, operands))
 
 
 def add_constant(slots: list[Any], x: Any) -> int:
@@ -117,13 +117,13 @@ def record(function: Callable[..., Any] | Expression, n_arguments: int) -> Expre
         expression = function
     else:
         slots: list[Any] = []
-        arguments = [Symbol(slots, None) for _ in range(n_arguments)]
+        arguments = [IntervalSymbol(slots, None) for _ in range(n_arguments)]
         try:
             results = function(*arguments)
         except TypeError as error:
             raise ValueError(f"{function!r} does not run on {n_arguments} symbols: {error}") from error
         results = results if isinstance(results, tuple) else (results,)
-        outputs = tuple(x.index if isinstance(x, Symbol) else add_constant(slots, x) for x in results)
+        outputs = tuple(x.index if isinstance(x, IntervalSymbol) else add_constant(slots, x) for x in results)
         expression = Expression(n_arguments, tuple(slots), outputs)
     if expression.n_arguments != n_arguments:
         raise ValueError(f"the equation has {expression.n_arguments} arguments, the box and its parameters {n_arguments}")

@@ -25,7 +25,7 @@ PRIOR = 1e-3  # probability of each hypothesis before any reading
 LOG_PRIOR = float(np.log(PRIOR))
 
 
-class Limits(NamedTuple):
+class ChiSquareLimits(NamedTuple):
     """Chi-square limits of one sample, of the windows for sensors and for the process; margins of evidence of both kinds.
 
     smallest (N + P,): sizes below which the windows accept nothing.
@@ -113,7 +113,9 @@ class Present(NamedTuple):
     handicap: Array
 
 
-def eliminated(found: LeaveOneOut, evidence: Evidence, present: Present, limits: Limits, room: Array) -> tuple[Array, Array]:
+def eliminated(
+    found: LeaveOneOut, evidence: Evidence, present: Present, limits: ChiSquareLimits, room: Array
+) -> tuple[Array, Array]:
     """Eliminate the worst sensor of the present sample while it explains the sample better than the process does.
 
     The first sensor competes by all its evidence, also with process hypotheses that begin now, each further one by the readings
@@ -175,7 +177,7 @@ class Accepted(NamedTuple):
     is_process: Array
 
 
-def accepted(evidence: Evidence, limits: Limits, where: Array) -> Accepted:
+def accepted(evidence: Evidence, limits: ChiSquareLimits, where: Array) -> Accepted:
     """Accept a sensor or a process hypothesis by the windows, in the runs `where` (...) holds."""
     sensor, process = evidence.sensor.argmax(axis=-1), evidence.process.argmax(axis=-1)
     if not ((evidence.statistic_s > limits.window).any() or (evidence.statistic_p > limits.process).any()):

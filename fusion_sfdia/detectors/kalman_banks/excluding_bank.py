@@ -26,7 +26,7 @@ Array = NDArray[Any]
 UNUSED = step_stream(0, 0)  # consistent filters draw nothing
 
 
-class Update(NamedTuple):
+class ExclusionUpdate(NamedTuple):
     """The update of a step: estimate x (..., n), covariance p (..., n, n), and the statistics of the readings used."""
 
     x: Array
@@ -110,7 +110,7 @@ class ExcludingBank(BatchDetector):
         return memory._replace(estimate=memory.estimate._replace(P=p), exclusion=restored(exclusion, which))
 
     def _conclude(
-        self, now: TimeStep, y: Array, u: Array, exclusion: Exclusion, update: Update, tested: SensorTests
+        self, now: TimeStep, y: Array, u: Array, exclusion: Exclusion, update: ExclusionUpdate, tested: SensorTests
     ) -> tuple[Exclusion, Decision]:
         """Exclude the isolated sensors and readmit those that are healthy again; without `accommodate` only report them.
 

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import whole
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import LeaveOneOut, posterior, statistics
-from fusion_sfdia.detectors.kalman_banks.likelihood_window import Effect, Grid, Shifted, empty, updated, weigh
+from fusion_sfdia.detectors.kalman_banks.likelihood_window import Effect, OnsetGrid, Shifted, empty, updated, weigh
 from fusion_sfdia.detectors.kalman_banks.window_step import last_update, no_update, window_step
 from fusion_sfdia.filters.estimators import Extended, GaussianState, step_stream
 from fusion_sfdia.filters.gaussian import gain
@@ -182,7 +182,9 @@ class _Limits(NamedTuple):
 def _limits(plant: Plant, added: int, samples: float, settle: int) -> _Limits:
     """The limits of a filter on the plant, with jumps of its last `added` states as hypotheses of the process."""
     count = len(plant.sensors)
-    window = empty((), Grid(2), len(plant.states), count + added, float)  # of biases and jumps, and of ramps, with one onset
+    window = empty(
+        (), OnsetGrid(2), len(plant.states), count + added, float
+    )  # of biases and jumps, and of ramps, with one onset
     window.eta[0, len(plant.states) - added :, count:] = -np.eye(added)
     last, never = no_update((), len(plant.states), count), np.array(False)
     common, crossed = np.zeros((count + added, count + added)), np.zeros((count, added))

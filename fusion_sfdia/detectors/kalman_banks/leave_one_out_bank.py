@@ -27,7 +27,7 @@ from fusion_sfdia.common.arguments import whole
 from fusion_sfdia.detectors.batch_detector import TimeStep
 from fusion_sfdia.detectors.detector import Decision
 from fusion_sfdia.detectors.exclusion import Exclusion, none_excluded
-from fusion_sfdia.detectors.kalman_banks.excluding_bank import UNUSED, ExcludingBank, SensorTests, Update
+from fusion_sfdia.detectors.kalman_banks.excluding_bank import UNUSED, ExcludingBank, ExclusionUpdate, SensorTests
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import (
     LeaveOneOut,
     eliminate,
@@ -39,7 +39,7 @@ from fusion_sfdia.detectors.kalman_banks.leave_one_out import (
 from fusion_sfdia.detectors.kalman_banks.likelihood_window import (
     Best,
     Effect,
-    Grid,
+    OnsetGrid,
     Weighed,
     Window,
     absorbed,
@@ -99,9 +99,9 @@ class LeaveOneOutBank(ExcludingBank):
         return float((scale * ndtri(half / 2)) ** 2), float((scale * ndtri(half / (self.window - 1) / 2)) ** 2)
 
     @cached_property
-    def _grid(self) -> Grid:
+    def _grid(self) -> OnsetGrid:
         """The onsets of the window: the present one, which is the one-sample test, and those before it."""
-        return Grid(self.window if self.window > 1 else 0)
+        return OnsetGrid(self.window if self.window > 1 else 0)
 
     @cached_property
     def _bias(self) -> Array:
@@ -154,7 +154,7 @@ class LeaveOneOutBank(ExcludingBank):
             window, last = updated(onsets, restart), last_update(step, gain, restart)
         else:
             x, p = posterior(joint, found)
-        update = Update(x, p, prior, joint, found)
+        update = ExclusionUpdate(x, p, prior, joint, found)
         tested = SensorTests(usable, isolated, residual, threshold, size, capped, one_limit)
         exclusion, decision = self._conclude(now, y, u, exclusion, update, tested)
         return LeaveOneOutMemory(GaussianState(x, p), exclusion, window, last), decision

@@ -9,7 +9,7 @@ Over the steps since the onset a = sum M' S^-1 d and b = sum diag(M' S^-1 M) giv
 degree of freedom when healthy) and the size a / b with variance 1 / b. For a bias on a sensor D = e_i, C = 0: a and b of the
 present onset are u and w of `leave_one_out`, so that the window is an exact extension of the leave-one-out chi-square.
 
-Which onsets are kept is a `Grid`: all of the latest samples, or fewer and fewer in the past.
+Which onsets are kept is a `OnsetGrid`: all of the latest samples, or fewer and fewer in the past.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ NO_INFLATION = np.ones((1, 1)), np.ones((1, 1, 0))
 LEAST_INFORMATION = 1e-3  # b in units of 1 / size^2, below which an onset has no information on faults of realistic size
 
 
-class Grid(NamedTuple):
+class OnsetGrid(NamedTuple):
     """The onsets that are kept: the `latest` ones among the multiples of each of finest, 2 finest, 4 finest .. (`levels`)."""
 
     latest: int
@@ -39,7 +39,7 @@ class Grid(NamedTuple):
     finest: int = 1
 
     @classmethod
-    def spanning(cls, samples: int, finest: int = 1, latest: int = 2) -> Grid:
+    def spanning(cls, samples: int, finest: int = 1, latest: int = 2) -> OnsetGrid:
         """Onsets up to that many samples ago, at steps that grow with their distance: latest / 2 for each doubling."""
         return cls(latest, max(1, int(np.ceil(np.log2(samples / (latest * finest)))) + 1), finest)
 
@@ -59,7 +59,7 @@ class Grid(NamedTuple):
 
 
 @lru_cache(maxsize=4096)
-def _moves(grid: Grid, step: int) -> Array | None:
+def _moves(grid: OnsetGrid, step: int) -> Array | None:
     if step % grid.finest:
         return None
     before = {onset: slot for slot, onset in enumerate(grid.onsets(step - 1))}
@@ -93,7 +93,7 @@ class Effect(NamedTuple):
 
 
 class Shifted(NamedTuple):
-    """The window before a step, and a, b, age of its onsets in the slots of that step; places (L,): see `Grid.moves`."""
+    """The window before a step, and a, b, age of its onsets in the slots of that step; places (L,): see `OnsetGrid.moves`."""
 
     before: Window
     places: Array
@@ -135,14 +135,14 @@ class Best(NamedTuple):
     slot: Array
 
 
-def empty(batch: tuple[int, ...], grid: Grid, states: int, hypotheses: int, kind: type | None = None) -> Window:
+def empty(batch: tuple[int, ...], grid: OnsetGrid, states: int, hypotheses: int, kind: type | None = None) -> Window:
     """Return the window before the first readings; kind: of the numbers of eta, `window_step.NUMBERS` by default."""
     slots, sums = (*batch, grid.slots), (*batch, grid.slots, hypotheses)
     eta = for_all(np.zeros((grid.slots, states, hypotheses), kind or window_step.NUMBERS), batch)
     return Window(eta, np.zeros(slots), np.zeros(sums), for_all(np.zeros(sums[-2:]), batch), np.zeros(slots))
 
 
-def shifted(window: Window, grid: Grid, step: int) -> Shifted:
+def shifted(window: Window, grid: OnsetGrid, step: int) -> Shifted:
     """Return the window with the present step as an onset, where the grid has it, and the other onsets in their slots."""
     places = np.arange(grid.slots) if (moves := grid.moves(step)) is None else moves
     batch = window.age.shape[:-1]

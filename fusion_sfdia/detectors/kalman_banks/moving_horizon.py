@@ -98,7 +98,7 @@ def sparse_faults(g: Array, G: Array, known: Array, penalty: float) -> Array:
     return f
 
 
-class Fit(NamedTuple):
+class HorizonFit(NamedTuple):
     """Sensors (k,) with a fault, f (k,) by least squares, its covariance (k, k); capped: whether more were significant."""
 
     sensors: Array
@@ -107,7 +107,7 @@ class Fit(NamedTuple):
     capped: bool
 
 
-def refitted(g: Array, G: Array, support: Array, penalty: float, most: int) -> Fit:
+def refitted(g: Array, G: Array, support: Array, penalty: float, most: int) -> HorizonFit:
     """Return the least-squares fit of f on a support (indices) without those of its sensors that are not significant.
 
     The penalty shrinks a large f, so that coupled sensors also enter the solution. The least significant sensor is removed
@@ -121,6 +121,6 @@ def refitted(g: Array, G: Array, support: Array, penalty: float, most: int) -> F
         least = int(np.argmin(significance))
         significant = bool(significance[least] > penalty)
         if len(support) == 1 or (significant and len(support) <= most):
-            return Fit(support, f, covariance, capped)
+            return HorizonFit(support, f, covariance, capped)
         capped = capped or significant
         support = np.delete(support, least)

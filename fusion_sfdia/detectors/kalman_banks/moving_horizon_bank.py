@@ -22,7 +22,7 @@ from fusion_sfdia.detectors.batch_detector import TimeStep
 from fusion_sfdia.detectors.detector import Decision
 from fusion_sfdia.detectors.exclusion import Exclusion, none_excluded
 from fusion_sfdia.detectors.kalman_banks import moving_horizon
-from fusion_sfdia.detectors.kalman_banks.excluding_bank import UNUSED, SensorTests, Update
+from fusion_sfdia.detectors.kalman_banks.excluding_bank import UNUSED, ExclusionUpdate, SensorTests
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import posterior, statistics
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.detectors.kalman_banks.moving_horizon import Horizons
@@ -93,7 +93,7 @@ class MovingHorizon(LeaveOneOutBank):
         worst = np.argmax(ratio, axis=-2)[..., None, :]
         alone, deviation = (np.take_along_axis(a, worst, axis=-2)[..., 0, :] for a in (g * deviation**2, deviation))
         threshold = np.where(deviation > 0, self.penalty * deviation, np.inf)
-        update = Update(x, p, prior, joint, found)
+        update = ExclusionUpdate(x, p, prior, joint, found)
         tested = SensorTests(usable, isolated, alone, threshold, size, capped, self.penalty**2)
         exclusion, decision = self._conclude(now, y, u, exclusion, update, tested)
         return MovingHorizonMemory(GaussianState(x, p), exclusion, past), decision

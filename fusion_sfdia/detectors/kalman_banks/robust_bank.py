@@ -36,8 +36,8 @@ from fusion_sfdia.detectors.exclusion import restored
 from fusion_sfdia.detectors.health import of_runs
 from fusion_sfdia.detectors.kalman_banks.competition import (
     Accepted,
+    ChiSquareLimits,
     Evidence,
-    Limits,
     Present,
     absorbed_before,
     accepted,
@@ -48,7 +48,7 @@ from fusion_sfdia.detectors.kalman_banks.competition import (
     one_sample_evidence,
     suspects,
 )
-from fusion_sfdia.detectors.kalman_banks.excluding_bank import UNUSED, ExcludingBank, SensorTests, Update, least_change
+from fusion_sfdia.detectors.kalman_banks.excluding_bank import UNUSED, ExcludingBank, ExclusionUpdate, SensorTests, least_change
 from fusion_sfdia.detectors.kalman_banks.freed_estimates import Tested, moved, with_alternatives, with_prior_unknowns
 from fusion_sfdia.detectors.kalman_banks.fresh_look import (
     FIRST,
@@ -63,8 +63,8 @@ from fusion_sfdia.detectors.kalman_banks.fresh_look import (
 from fusion_sfdia.detectors.kalman_banks.hypotheses import SLOW_STEP, UNNAMED, Hypotheses
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import LeaveOneOut, one_hot, posterior_and_gain, statistics, value_at
 from fusion_sfdia.detectors.kalman_banks.likelihood_window import (
-    Grid,
     Inflation,
+    OnsetGrid,
     Weighed,
     Window,
     best_onset,
@@ -164,8 +164,8 @@ class RobustBank(ExcludingBank):
         return self._hypotheses.process
 
     @cached_property
-    def _grids(self) -> tuple[Grid, Grid]:
-        return Grid.spanning(self.window), Grid.spanning(self.memory, SLOW_STEP)
+    def _grids(self) -> tuple[OnsetGrid, OnsetGrid]:
+        return OnsetGrid.spanning(self.window), OnsetGrid.spanning(self.memory, SLOW_STEP)
 
     @cached_property
     def _stated_inflation(self) -> Array:
@@ -180,7 +180,7 @@ class RobustBank(ExcludingBank):
         return np.asarray(self.plant.sensor_sigma * np.sqrt(1 - share * kept))
 
     @cached_property
-    def _limits(self) -> Limits:
+    def _limits(self) -> ChiSquareLimits:
         """Quantiles of normal variables, shared by sensors or process hypotheses and by the onsets."""
         scale, onsets = self.threshold_scale, sum(grid.slots for grid in self._grids)
         half = (1 - QUIET_SHARE) * self.false_alarm / 2 / len(self.plant.sensors)
@@ -188,7 +188,7 @@ class RobustBank(ExcludingBank):
         one, window, process = (float((scale * ndtri(s / 2)) ** 2) for s in shares)
         of, none = self._hypotheses, np.zeros(len(self.plant.states))
         smallest = np.concatenate([self.smallest * self.plant.sensor_sigma, USUAL * of.sd, none])
-        return Limits(one, window, process, np.array(self.sensor_margin), self.process_margin, smallest)
+        return ChiSquareLimits(one, window, process, np.array(self.sensor_margin), self.process_margin, smallest)
 
     def _start(self, batch: tuple[int, ...], seed: int) -> RobustMemory:
         of = self._hypotheses
@@ -290,7 +290,7 @@ class RobustBank(ExcludingBank):
             quiet, capped = quiet & fits, capped | np.any(quiet & ~fits, axis=-1)
         if self.accommodate and unexplained.any():
             exclusion = restored(exclusion, unexplained[..., None] & (out_for <= self.window))
-        update = Update(x, p, prior, joint, used)
+        update = ExclusionUpdate(x, p, prior, joint, used)
         beyond = everything.chi_square > FAR**2 * limits.one
         counted = unclipped(counted, everything, np.all(beyond | ~usable, axis=-1) & (np.sum(beyond, axis=-1) > 1))
         shown = self._shown(counted.found, evidence, usable, isolated | quiet, capped)

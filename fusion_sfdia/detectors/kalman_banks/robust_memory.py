@@ -12,7 +12,7 @@ from fusion_sfdia.detectors.kalman_banks import bank_kernels
 from fusion_sfdia.detectors.kalman_banks.fresh_look import Look, no_look
 from fusion_sfdia.detectors.kalman_banks.hypotheses import Hypotheses
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import LeaveOneOut
-from fusion_sfdia.detectors.kalman_banks.likelihood_window import Grid, Window, empty
+from fusion_sfdia.detectors.kalman_banks.likelihood_window import OnsetGrid, Window, empty
 from fusion_sfdia.detectors.kalman_banks.parameter_walk import Walk, no_walk
 from fusion_sfdia.detectors.kalman_banks.quiet import Pairs, no_pairs
 from fusion_sfdia.detectors.kalman_banks.reading_noise import ReadingNoise, nothing_shown
@@ -53,7 +53,9 @@ class RobustMemory(NamedTuple):
     look: Look
 
 
-def empty_memory(of: Hypotheses, estimate: GaussianState, batch: tuple[int, ...], grids: tuple[Grid, Grid]) -> RobustMemory:
+def empty_memory(
+    of: Hypotheses, estimate: GaussianState, batch: tuple[int, ...], grids: tuple[OnsetGrid, OnsetGrid]
+) -> RobustMemory:
     """The memory before any reading, of windows on these grids, the recent one first."""
     count, n, p, states = len(of.plant.sensors), len(of.plant.states), of.added, len(of.model.states)
     near, far = grids

@@ -29,7 +29,7 @@ from fusion_sfdia.common.arguments import shown
 from fusion_sfdia.detectors.batch_detector import TimeStep
 from fusion_sfdia.detectors.detector import Decision
 from fusion_sfdia.detectors.exclusion import Exclusion, none_excluded
-from fusion_sfdia.detectors.kalman_banks.excluding_bank import UNUSED, ExcludingBank, SensorTests, Update
+from fusion_sfdia.detectors.kalman_banks.excluding_bank import UNUSED, ExcludingBank, ExclusionUpdate, SensorTests
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import LeaveOneOut, eliminate, one_hot, posterior, statistics
 from fusion_sfdia.detectors.kalman_banks.sequential_rules import SequentialRule, Shewhart
 from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, Prior, step_stream
@@ -110,7 +110,7 @@ class SequentialBank(ExcludingBank):
         limit = (self.threshold_scale * ndtri(self.false_alarm / count / 2)) ** 2
         signed = np.where(np.signbit(innovations.innovation), -innovations.ratio, innovations.ratio)
         threshold = innovations.deviation * np.sqrt(limit)
-        update = Update(x, p, prior, joint, found)
+        update = ExclusionUpdate(x, p, prior, joint, found)
         tested = SensorTests(usable, isolated, signed * threshold, threshold, innovations.innovation, capped, limit)
         exclusion, decision = self._conclude(now, y, u, exclusion, update, tested)
         return SequentialMemory(GaussianState(x, p), exclusion, of_rules), decision

@@ -25,7 +25,7 @@ from fusion_sfdia.detectors.stochastic_thresholds.area_diagnosers import AreaDia
 from fusion_sfdia.detectors.stochastic_thresholds.bias_hypotheses import StepResiduals, explain
 from fusion_sfdia.detectors.stochastic_thresholds.bounded_readings import BoundedReadings
 from fusion_sfdia.detectors.stochastic_thresholds.consensus import MODES
-from fusion_sfdia.detectors.stochastic_thresholds.present_readings import Diagnoser, PredictedReadings, PresentReadings
+from fusion_sfdia.detectors.stochastic_thresholds.present_readings import PredictedReadings, PresentReadings, ReadingPredictor
 from fusion_sfdia.detectors.stochastic_thresholds.threshold_rules import (
     BOUND,
     CONFORMAL,
@@ -129,7 +129,7 @@ class Chebyshev(BatchDetector):
         )  # fmt: skip
 
     @cached_property
-    def diagnoser(self) -> Diagnoser:
+    def diagnoser(self) -> ReadingPredictor:
         """The plant's diagnosers."""
         if self.rule == BOUND:
             return BoundedReadings(self.plant, self.lam, self.moments)

@@ -68,7 +68,7 @@ class Taken(NamedTuple):
     covariance: Array | None
 
 
-class Diagnoser(Protocol):
+class ReadingPredictor(Protocol):
     """Predicts and takes readings: AreaDiagnosers (memory: Diagnosers) or PresentReadings (memory: PresentMemory)."""
 
     def start(self, batch: tuple[int, ...], seed: int) -> Any: ...

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import probability
-from fusion_sfdia.learning.commissioning.disturbances import WINDOW, Found, learnt, windows
+from fusion_sfdia.learning.commissioning.disturbances import WINDOW, FoundDisturbance, learnt, windows
 from fusion_sfdia.learning.commissioning.innovations import settling
 from fusion_sfdia.learning.commissioning.learnt_slow_noise import with_slow_noise
 from fusion_sfdia.learning.commissioning.noise_likelihood import (
@@ -28,7 +28,7 @@ from fusion_sfdia.learning.commissioning.noise_likelihood import (
     louder_sensors,
     with_noise,
 )
-from fusion_sfdia.learning.commissioning.parameters import Estimate, estimated, moved
+from fusion_sfdia.learning.commissioning.parameters import ParameterEstimate, estimated, moved
 from fusion_sfdia.learning.commissioning.refusals import (
     At,
     require_length,
@@ -37,7 +37,7 @@ from fusion_sfdia.learning.commissioning.refusals import (
     require_no_sensor,
     require_readings,
 )
-from fusion_sfdia.learning.commissioning.score import Fit, coloured, fitted
+from fusion_sfdia.learning.commissioning.score import FilterScore, coloured, fitted
 from fusion_sfdia.learning.commissioning.start import Start, first_error, first_state, with_start
 from fusion_sfdia.logs.as_log import as_log
 from fusion_sfdia.plant.augment import fixed
@@ -77,14 +77,14 @@ class Commissioning(NamedTuple):
     before: HeldOut
     after: HeldOut
     kept: tuple[str, ...]
-    parameters: Estimate | None
-    disturbances: tuple[Found, ...]
+    parameters: ParameterEstimate | None
+    disturbances: tuple[FoundDisturbance, ...]
     noise: Noise | None
     start: Start | None
     first_error: float
     middle: int
     halves: tuple[Plant, Plant]
-    fits: tuple[Fit, Fit]
+    fits: tuple[FilterScore, FilterScore]
 
 
 def commission(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Plant:
@@ -128,7 +128,7 @@ def commissioned(plant: Plant, *healthy: Any, false_alarm: float | None = 1e-3, 
             halfway, now, parts[name] = tried, then, [what for _, what in found]
     kept = tuple(parts)
     result, parameters, noise = plant, None, None
-    disturbances: tuple[Found, ...] = ()
+    disturbances: tuple[FoundDisturbance, ...] = ()
     if "parameters" in kept:
         result, parameters = _parameters(result, log, settled)
     seen = windows(result, log, settled)
@@ -150,7 +150,7 @@ def commissioned(plant: Plant, *healthy: Any, false_alarm: float | None = 1e-3, 
     )  # fmt: skip
 
 
-def _with_sensors(plant: Plant, changed: Plant, now: list[Fit], log: Log) -> tuple[Plant, list[Fit]]:
+def _with_sensors(plant: Plant, changed: Plant, now: list[FilterScore], log: Log) -> tuple[Plant, list[FilterScore]]:
     """The plant with changed sensors, and its fits in place of those before, where the noise is another."""
     same = np.array_equal(plant.sensor_sigma, changed.sensor_sigma)
     return changed, now if same else [fitted(changed, log)] * 2
@@ -171,7 +171,7 @@ def _at(log: Log, k: int, b: int) -> str:
     return f"{log.t[k]:g} s" + (f" of run {b}" if log.y.shape[1] > 1 else "")
 
 
-def _parameters(plant: Plant, log: Log, use: Array) -> tuple[Plant, Estimate | None]:
+def _parameters(plant: Plant, log: Log, use: Array) -> tuple[Plant, ParameterEstimate | None]:
     known = plant.uncertainty
     if not (known.parameters or known.inputs):
         return plant, None

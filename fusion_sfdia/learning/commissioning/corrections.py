@@ -87,7 +87,7 @@ class _Fixed:
 
 
 @dataclass(frozen=True, eq=False)
-class Offset:
+class ConstantCorrection:
     """Constant corrections of a model: of its inputs (m,), its states (n,) over one nominal dt, its readings (N,).
 
     x+ = f(x, u + input, dt) + state dt / dt_nominal,    y = h(x, u + input) + reading.
@@ -113,7 +113,7 @@ class Offset:
         return function(t, x, u + self.input, *theta)
 
 
-def with_offset(plant: Plant, offset: Offset) -> Plant:
+def with_offset(plant: Plant, offset: ConstantCorrection) -> Plant:
     """The plant with constant corrections, at all values of its parameters."""
     known, (of_step, of_output) = plant.uncertainty, plant.jacobians
     uncertainty = replace(
@@ -138,5 +138,5 @@ def with_offset(plant: Plant, offset: Offset) -> Plant:
     )
 
 
-def _rebuilt(rebuild: Callable[..., Plant], offset: Offset, **values: float) -> Plant:
+def _rebuilt(rebuild: Callable[..., Plant], offset: ConstantCorrection, **values: float) -> Plant:
     return with_offset(rebuild(**values), offset)

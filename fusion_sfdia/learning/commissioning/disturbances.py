@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.covariance import diagonal
-from fusion_sfdia.learning.commissioning.corrections import Offset, with_offset
-from fusion_sfdia.learning.commissioning.innovations import Sample, filtered, until
+from fusion_sfdia.learning.commissioning.corrections import ConstantCorrection, with_offset
+from fusion_sfdia.learning.commissioning.innovations import InnovationStep, filtered, until
 from fusion_sfdia.plant.augment import fixed
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
@@ -52,7 +52,7 @@ class Windows(NamedTuple):
     scale: Array
 
 
-class Found(NamedTuple):
+class FoundDisturbance(NamedTuple):
     """A disturbance: directions state (n,) and reading (N,), its size in each window (runs, M) and the variance of its error,
     its mean, sd about it and time constant (s), and how far its eigenvalue is above that of noise. score (p,) and information
     (p, p): of the whole log for any directions with that course, in the units of `Windows`; None before step 2.
@@ -70,12 +70,12 @@ class Found(NamedTuple):
     information: Array | None = None
 
 
-def learnt(plant: Plant, log: Log, use: Array, seen: Windows | None = None) -> tuple[Plant, tuple[Found, ...]]:
+def learnt(plant: Plant, log: Log, use: Array, seen: Windows | None = None) -> tuple[Plant, tuple[FoundDisturbance, ...]]:
     """The plant with the disturbances that the samples use (K,) of a log of runs show, and these disturbances.
 
     seen: the windows of the plant, None where they are not known yet.
     """
-    found: tuple[Found, ...] = ()
+    found: tuple[FoundDisturbance, ...] = ()
     while len(found) < MOST and (first := leading(plant, seen or windows(plant, log, use))) is not None:
         refined, seen = fitted_anew(plant, log, use, first), None
         plant, found = with_disturbance(plant, refined), (*found, refined)
@@ -100,7 +100,7 @@ def windows(plant: Plant, log: Log, use: Array) -> Windows:
     return Windows(np.stack(g[:whole], axis=1), np.stack(info[:whole], axis=1), _scale(plant))
 
 
-def leading(plant: Plant, seen: Windows) -> Found | None:
+def leading(plant: Plant, seen: Windows) -> FoundDisturbance | None:
     """The disturbance that stands out most, None where nothing is above noise."""
     mean = np.mean(seen.info, axis=(0, 1))
     values, vectors = np.linalg.eigh(mean)
@@ -116,10 +116,10 @@ def leading(plant: Plant, seen: Windows) -> Found | None:
     known = seen.info @ b @ b
     size, error = (seen.g @ b) / known, 1.0 / known
     state, reading = np.split(b * seen.scale, [len(plant.states)])
-    return Found(state, reading, size, error, *_course(size, error, plant.dt), float(powers[-1] / edge))
+    return FoundDisturbance(state, reading, size, error, *_course(size, error, plant.dt), float(powers[-1] / edge))
 
 
-def fitted_anew(plant: Plant, log: Log, use: Array, found: Found) -> Found:
+def fitted_anew(plant: Plant, log: Log, use: Array, found: FoundDisturbance) -> FoundDisturbance:
     """The disturbance with the direction that fits the log best, of the same course; as large as `found` where unseen."""
     noise = float(np.mean(found.error))
     trusted = 0.0 if np.isinf(found.time_constant) else found.sd**2 / (found.sd**2 + noise)
@@ -141,7 +141,7 @@ def _scale(plant: Plant) -> Array:
     return np.concatenate([np.where(process > 0, process, np.sqrt(diagonal(plant.initial_cov))), plant.sensor_sigma])
 
 
-def _effects(plant: Plant, log: Log, use: Array, course: Array | None) -> Iterator[tuple[Sample, Array]]:
+def _effects(plant: Plant, log: Log, use: Array, course: Array | None) -> Iterator[tuple[InnovationStep, Array]]:
     """Each sample that is used, with the effect N (B, N, p) of every direction on it.
 
     course (B, M): xi of each window, before the first one as in it; None for xi = 1 since the window began.
@@ -166,7 +166,7 @@ def _effects(plant: Plant, log: Log, use: Array, course: Array | None) -> Iterat
         eps = now.closed @ eps - now.gain @ (read * xi)
 
 
-def _of_sample(now: Sample, effect: Array) -> tuple[Array, Array]:
+def _of_sample(now: InnovationStep, effect: Array) -> tuple[Array, Array]:
     """N' S^-1 d (B, p) and N' S^-1 N (B, p, p)."""
     turned = np.swapaxes(effect, -1, -2)
     return (turned @ now.whitened[..., None])[..., 0], turned @ (now.inverse @ effect)
@@ -186,14 +186,14 @@ def _course(size: Array, error: Array, dt: float) -> tuple[float, float, float]:
     return mean, float(np.sqrt(variance + of_mean)), float(-WINDOW * dt / np.log(together))
 
 
-def with_disturbance(plant: Plant, found: Found) -> Plant:
+def with_disturbance(plant: Plant, found: FoundDisturbance) -> Plant:
     """The plant with the mean of a disturbance as an offset, and with what remains of it as a disturbance.
 
     A mismatch changes with the operating point: its size is taken as known to a tenth only, and as changing within 100 samples.
     Its name states which sensors it moves most.
     """
     known = plant.uncertainty
-    offset = Offset(np.zeros(len(plant.inputs)), found.state * found.mean, found.reading * found.mean, plant.dt)
+    offset = ConstantCorrection(np.zeros(len(plant.inputs)), found.state * found.mean, found.reading * found.mean, plant.dt)
     moved = with_offset(plant, offset)
     number = 1 + sum(d.name.startswith(LEARNT) for d in known.disturbances)
     name = f"{LEARNT} {number} ({', '.join(moved_most(plant, found.state, found.reading))})"
@@ -222,7 +222,7 @@ def moved_most(plant: Plant, state: Array, reading: Array) -> list[str]:
     return [plant.sensor_names[i] for i in order]
 
 
-def moves(plant: Plant, found: Found) -> str:
+def moves(plant: Plant, found: FoundDisturbance) -> str:
     """What a disturbance moves most over its noise, up to three signals, each by its mean and the deviation about it."""
     process = np.sqrt(diagonal(plant.process_cov))
     noise = np.concatenate([np.where(process > 0, process, plant.state_scale), plant.sensor_sigma])

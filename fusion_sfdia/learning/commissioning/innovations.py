@@ -28,7 +28,7 @@ FORGOTTEN = 0.05  # share of an error of the first estimate that is left after s
 
 
 @dataclass(frozen=True, eq=False)
-class Sample:
+class InnovationStep:
     """One step of the filter, of each run (B, ...).
 
     x (B, n): the estimate after the readings. tangent F (B, n, n), readout H (B, N, n), half U (B, N, N) with U U' = S^-1, zero
@@ -95,9 +95,9 @@ def until(log: Log, use: Array) -> Log:
     return Log(log.t[:last], log.y[:last], log.u[:last])
 
 
-class Update(NamedTuple):
+class InnovationUpdate(NamedTuple):
     """One update of the filter: prior and joint Gaussian, readings y (B, N) on the turn of what is expected, used (B, N), U and
-    C U as in `Sample`, normal U' d (B, N), and the state after it.
+    C U as in `InnovationStep`, normal U' d (B, N), and the state after it.
     """
 
     prior: Prior
@@ -110,7 +110,7 @@ class Update(NamedTuple):
     after: GaussianState
 
 
-def updated(model: Plant, core: GaussianState, t_start: float, dt: float, y: Array, u: Array) -> Update:
+def updated(model: Plant, core: GaussianState, t_start: float, dt: float, y: Array, u: Array) -> InnovationUpdate:
     """The extended filter over [t_start, t_start + dt] and its update by y (B, N), NaN where missing, under u (B, m)."""
     filter_, rng = Extended(), step_stream(0, 0)  # it draws nothing
     prior = filter_.predict(model, core, t_start, u, dt, rng)
@@ -124,10 +124,10 @@ def updated(model: Plant, core: GaussianState, t_start: float, dt: float, y: Arr
     p = joint.P - gain_half @ np.swapaxes(gain_half, -1, -2)
     floor = 4 * np.finfo(float).eps * sum(joint.C.shape[-2:])
     np.einsum("...ii->...i", p)[...] += floor * np.diagonal(joint.P, axis1=-2, axis2=-1)
-    return Update(prior, joint, y, used, half, normal, gain_half, GaussianState(x, p))
+    return InnovationUpdate(prior, joint, y, used, half, normal, gain_half, GaussianState(x, p))
 
 
-def filtered(model: Plant, log: Log) -> Iterator[Sample]:
+def filtered(model: Plant, log: Log) -> Iterator[InnovationStep]:
     """Yield the samples of a filter on the plant, started at its x0, over a log of runs: t (K,), y (K, B, N), u (K, B, m).
 
     ValueError where the model gives no finite value.
@@ -148,7 +148,7 @@ def filtered(model: Plant, log: Log) -> Iterator[Sample]:
         readout = np.broadcast_to(joint.H, np.swapaxes(joint.C, -1, -2).shape)
         scale = np.where(used, np.diagonal(half, axis1=-2, axis2=-1), 1.0)
         log_likelihood = np.sum(np.log(scale) - used * np.log(2 * np.pi) / 2 - normal**2 / 2, axis=-1)
-        yield Sample(x, prior.tangent, readout, half, gain_half, normal, used, log_likelihood)
+        yield InnovationStep(x, prior.tangent, readout, half, gain_half, normal, used, log_likelihood)
         before = t
 
 

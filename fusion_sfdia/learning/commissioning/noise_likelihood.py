@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.learning.commissioning.innovations import Sample, filtered, until
+from fusion_sfdia.learning.commissioning.innovations import InnovationStep, filtered, until
 from fusion_sfdia.plant.augment import fixed
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
@@ -86,7 +86,7 @@ def in_steps(plant: Plant, y: Array) -> Plant:
 
 
 def louder_sensors(plant: Plant, single: Array) -> Plant:
-    """The plant with the noise of sensors that scatter clearly more than stated, from errors `single` (K, B, N), see `Sample`.
+    """The plant with the noise of sensors that scatter clearly more than stated, from errors `single` (K, B, N).
 
     Their variance is taken about the mean of each window, and its median over the windows: a bias, a drift or a fault in a
     part of the log does not count as noise.
@@ -139,7 +139,7 @@ def _moments(plant: Plant, log: Log, use: Array, groups: dict[str, Array]) -> tu
     model = fixed(plant)
     cov = plant.process_cov
     process, sensors = np.zeros((2, len(groups))), np.zeros((2, len(plant.sensors)))
-    block: list[Sample] = []
+    block: list[InnovationStep] = []
 
     def closed(until: int) -> None:
         size = model.x0.size

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from fusion_sfdia.learning.commissioning.corrections import Offset, at_values, with_offset
+from fusion_sfdia.learning.commissioning.corrections import ConstantCorrection, at_values, with_offset
 from fusion_sfdia.learning.commissioning.innovations import filtered, held, until
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
@@ -31,7 +31,7 @@ CLOSE = 0.5  # posterior standard deviations: a step below this ends them; what 
 FARTHEST = 4.0  # prior standard deviations
 
 
-class Estimate(NamedTuple):
+class ParameterEstimate(NamedTuple):
     """Values (p,) of parameters, then errors of inputs, with standard deviation sd (p,) and prior_sd (p,), in their units.
 
     cov (p, p): posterior covariance, of one value for the whole log. between (p,): standard deviation of the value between
@@ -47,7 +47,7 @@ class Estimate(NamedTuple):
     between: Array
 
 
-def estimated(plant: Plant, log: Log, use: Array, stretch: Array) -> Estimate:
+def estimated(plant: Plant, log: Log, use: Array, stretch: Array) -> ParameterEstimate:
     """Estimate what the plant declares from the samples use (K,) of a log of runs, in stretches numbered by stretch (K,)."""
     where = free(plant)
     names, prior, prior_sd = declared(plant)
@@ -65,10 +65,12 @@ def estimated(plant: Plant, log: Log, use: Array, stretch: Array) -> Estimate:
     sd = prior_sd[where] * np.sqrt(np.minimum(np.diagonal(cov) + between, 1.0))
     scale = prior_sd[where]
     chosen = tuple(names[i] for i in where)
-    return Estimate(chosen, value[where], sd, prior[where], scale, cov * np.outer(scale, scale), scale * np.sqrt(between))
+    return ParameterEstimate(
+        chosen, value[where], sd, prior[where], scale, cov * np.outer(scale, scale), scale * np.sqrt(between)
+    )
 
 
-def moved(plant: Plant, found: Estimate) -> Plant:
+def moved(plant: Plant, found: ParameterEstimate) -> Plant:
     """The plant with what was estimated; later changes are judged by what was declared."""
     where, (names, value, prior_sd) = free(plant), declared(plant)
     changes = dict(zip(names, prior_sd.tolist(), strict=True)) | dict(plant.uncertainty.changes)
@@ -108,7 +110,7 @@ def at(plant: Plant, value: Array, sd: Array) -> Plant:
     if not errors:
         return there
     shift = np.array([value[p + errors.index(s.name)] if s.name in errors else 0.0 for s in plant.inputs])
-    there = with_offset(there, Offset(shift, np.zeros(len(plant.states)), np.zeros(len(plant.sensors)), plant.dt))
+    there = with_offset(there, ConstantCorrection(shift, np.zeros(len(plant.states)), np.zeros(len(plant.sensors)), plant.dt))
     inputs = dict(zip(errors, sd[p:].tolist(), strict=True))
     return replace(there, uncertainty=replace(there.uncertainty, inputs=inputs))
 

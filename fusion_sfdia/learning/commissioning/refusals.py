@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from fusion_sfdia.learning.commissioning.disturbances import UNSEEN, WINDOW, Found, Windows
+from fusion_sfdia.learning.commissioning.disturbances import UNSEEN, WINDOW, FoundDisturbance, Windows
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
 
@@ -102,7 +102,7 @@ def require_no_fault(plant: Plant, seen: Windows, ends: Array, at: At) -> None:
                 raise _contradiction(plant, sensor, size, f"in the {WINDOW} samples until {at(int(ends[w]), b)}")
 
 
-def require_no_sensor(plant: Plant, found: Found) -> None:
+def require_no_sensor(plant: Plant, found: FoundDisturbance) -> None:
     """Raise ValueError where a bias of one sensor explains a disturbance that was learnt, by the same test."""
     count = len(plant.sensors)
     assert found.score is not None and found.information is not None

@@ -17,7 +17,7 @@ Array = NDArray[Any]
 LAGS = 20
 
 
-class Fit(NamedTuple):
+class FilterScore(NamedTuple):
     """Of each sample (K, B): log_likelihood, nis (normalised innovation squared per reading), normal (K, B, N) innovations.
 
     single (K, B, N): errors of each reading predicted from all others, over their standard deviations.
@@ -29,7 +29,7 @@ class Fit(NamedTuple):
     single: Array
 
 
-def fitted(plant: Plant, log: Log) -> Fit:
+def fitted(plant: Plant, log: Log) -> FilterScore:
     """Run the filter of a plant and its disturbances over a log of runs."""
     likelihood, nis, normal, single = [], [], [], []
     for now in filtered(fixed(plant), log):
@@ -37,7 +37,7 @@ def fitted(plant: Plant, log: Log) -> Fit:
         nis.append(np.sum(now.normal**2, axis=-1) / np.maximum(np.sum(now.used, axis=-1), 1))
         normal.append(np.where(now.used, now.normal, np.nan))
         single.append(now.single)
-    return Fit(np.stack(likelihood), np.stack(nis), np.stack(normal), np.stack(single))
+    return FilterScore(np.stack(likelihood), np.stack(nis), np.stack(normal), np.stack(single))
 
 
 def coloured(normal: Array) -> float:

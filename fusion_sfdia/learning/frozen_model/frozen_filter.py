@@ -41,7 +41,7 @@ class Tracked(NamedTuple):
     grown: Array
 
 
-class Row(NamedTuple):
+class FrozenRow(NamedTuple):
     """What a row shows: innovation v (..., N), NaN where missing, and its variance; D (..., N, M); state x (..., n), predicted
     and after the readings, each with its effect (..., n, M); expected readings (..., N). lost (...): no finite value.
     """
@@ -98,7 +98,7 @@ class FrozenFilter:
         core = Extended().start(self.model, batch, step_stream(0, 0))
         return Tracked(core, effect, fresh, np.zeros((*batch, ages, len(self.plant.sensors), shape[-1])))
 
-    def step(self, now: Tracked, t_start: float, dt: float, y: Array, u: Array) -> tuple[Tracked, Row]:
+    def step(self, now: Tracked, t_start: float, dt: float, y: Array, u: Array) -> tuple[Tracked, FrozenRow]:
         """After the readings y (*batch, N) at t_start + dt under u (*batch, m)."""
         count, n = len(self.plant.sensors), len(self.plant.states)
         prior, joint, y, used, half, normal, gain_half, core = updated(self.model, now.core, t_start, dt, y, u)
@@ -121,7 +121,7 @@ class FrozenFilter:
         lost = ~np.isfinite(core.x).all(axis=-1) | prior.lost
         nis = np.sum(normal**2, axis=-1) / np.maximum(np.sum(used, axis=-1), 1)
         nis = np.where(used.any(axis=-1), nis, np.nan)
-        row = Row(
+        row = FrozenRow(
             y - joint.y, np.diagonal(joint.S, axis1=-2, axis2=-1), by_cause, joint.x[..., :n], ahead[..., :n, :],
             core.x[..., :n], effect[..., :n, :], core.P[..., :n, :n], joint.y, prior.guarded, lost, nis,
         )  # fmt: skip

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fusion_sfdia.learning.inspection.plant_findings import REMARK, Finding
+from fusion_sfdia.learning.inspection.plant_findings import REMARK, PlantFinding
 from fusion_sfdia.plant.plant import Plant
 
 SLOW = 1e-3  # s for a reading
@@ -42,7 +42,7 @@ def _seconds(call: Callable[[], Any], clock: Callable[[], float]) -> float:
     return clock() - start
 
 
-def of_cost(plant: Plant, found: Cost) -> Iterator[Finding]:
+def of_cost(plant: Plant, found: Cost) -> Iterator[PlantFinding]:
     """That a stream or a long log will be slow, and why."""
     total = found.step + found.jacobian
     if total < SLOW:
@@ -61,7 +61,7 @@ def of_cost(plant: Plant, found: Cost) -> Iterator[Finding]:
             "most of it are calls of NumPy or Python: write loops over the elements of a state as operations on "
             "arrays, or give the equations to `discretise`, which compiles them, substeps included"
         )
-    yield Finding(
+    yield PlantFinding(
         REMARK,
         "speed",
         f"a step takes {1e3 * found.step:.2g} ms and its Jacobian {1e3 * found.jacobian:.2g} ms, so that a stream has at most "

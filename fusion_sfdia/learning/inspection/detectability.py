@@ -32,7 +32,7 @@ RUNS, MOST = 6, 24  # runs a fault, and at most times the number of sensors
 FOUND = 0.75  # share of the runs from which a fault counts as found by a detector
 
 
-class Trial(NamedTuple):
+class FaultTrial(NamedTuple):
     """A fault in some runs: its share that was found, the median delay in samples (NaN for none), and what was named instead
     most often, "" for nothing.
     """
@@ -52,13 +52,13 @@ class Tried(NamedTuple):
     """
 
     detector: str
-    trials: tuple[Trial, ...] = ()
+    trials: tuple[FaultTrial, ...] = ()
     healthy: float = np.nan
     kept_out: tuple[str, ...] = ()
     left_out: str = ""
     most_faults: int = 0
 
-    def best(self, sensor: str, kind: str) -> Trial | None:
+    def best(self, sensor: str, kind: str) -> FaultTrial | None:
         """The trial of the smallest size that was found, None where none was."""
         fit = [t for t in self.trials if (t.sensor, t.kind) == (sensor, kind) and t.found >= FOUND]
         return min(fit, key=lambda t: t.size, default=None)
@@ -107,7 +107,7 @@ def _one(plant: Plant, name: Any, each: list[tuple[int, str, float]], runs: int,
     return Tried(shown, trials, healthy, tuple(kept), most_faults=most)
 
 
-def _judged(plant: Plant, one: tuple[int, str, float], named: Array, names: list[str]) -> Trial:
+def _judged(plant: Plant, one: tuple[int, str, float], named: Array, names: list[str]) -> FaultTrial:
     """The trial of a fault from the names given to it (K, runs, hypotheses)."""
     i, kind, size = one
     acting = named[BEFORE : BEFORE + ACTING]
@@ -117,7 +117,7 @@ def _judged(plant: Plant, one: tuple[int, str, float], named: Array, names: list
     others = np.mean(acting[ACTING // 2 :], axis=(0, 1))
     others[i] = 0.0
     most = int(np.argmax(others))
-    return Trial(
+    return FaultTrial(
         plant.sensor_names[i],
         kind,
         size,

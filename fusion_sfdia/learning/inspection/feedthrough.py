@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.learning.inspection.plant_findings import REMARK, Finding
+from fusion_sfdia.learning.inspection.plant_findings import REMARK, PlantFinding
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
 
@@ -37,11 +37,11 @@ def feedthrough(plant: Plant, log: Log) -> Feedthrough:
     return Feedthrough(jump)
 
 
-def of_feedthrough(plant: Plant, found: Feedthrough) -> Iterator[Finding]:
+def of_feedthrough(plant: Plant, found: Feedthrough) -> Iterator[PlantFinding]:
     """The inputs whose convention matters, and the sensors that show it."""
     for signal, jump in zip(plant.inputs, found.jump, strict=True):
         if names := [f"{n} ({size:.2g} sigma)" for n, size in zip(plant.sensor_names, jump, strict=True) if size > SEEN]:
-            yield Finding(
+            yield PlantFinding(
                 REMARK,
                 signal.name,
                 f"its largest step in the log moves {', '.join(names)} at once, as the output depends on u: were it stated a "

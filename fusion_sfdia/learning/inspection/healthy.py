@@ -10,7 +10,7 @@ import numpy as np
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.diagnosis.diagnose import diagnose_run
 from fusion_sfdia.learning.identification.whiteness import WhitenessTest, whiteness
-from fusion_sfdia.learning.inspection.plant_findings import REMARK, Finding
+from fusion_sfdia.learning.inspection.plant_findings import REMARK, PlantFinding
 from fusion_sfdia.plant.augment import fixed
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
@@ -35,13 +35,13 @@ def on_healthy(plant: Plant, log: Log, detector: registry.NamedDetector) -> OnHe
     return OnHealthy(len(log.t), whiteness(plant, log), detector.name, tuple(map(str, found.events)))
 
 
-def of_healthy(plant: Plant, found: OnHealthy) -> Iterator[Finding]:
+def of_healthy(plant: Plant, found: OnHealthy) -> Iterator[PlantFinding]:
     """What to know about the model on that log."""
     white = found.white
     for s, variance, rho, pairs in zip(plant.sensors, white.variance, white.autocorrelation, white.pairs, strict=True):
         ratio = float(np.sqrt(variance))
         if ratio > UPPER or ratio < LOWER:
-            yield Finding(
+            yield PlantFinding(
                 REMARK,
                 s.name,
                 f"the healthy readings differ from their predictions by {ratio:.2g} times what the plant states, "
@@ -49,7 +49,7 @@ def of_healthy(plant: Plant, found: OnHealthy) -> Iterator[Finding]:
                 + "correct its sigma or the process noise (`commission`)",
             )
         if np.isfinite(rho) and rho > LASTING and rho > 5 / np.sqrt(pairs):
-            yield Finding(
+            yield PlantFinding(
                 REMARK,
                 s.name,
                 f"predictions err in one direction for several samples (autocorrelation {rho:.2f}): the model is off; state "
@@ -57,6 +57,6 @@ def of_healthy(plant: Plant, found: OnHealthy) -> Iterator[Finding]:
             )
     if found.events:
         some = "; ".join(found.events[:3]) + (f" and {len(found.events) - 3} more" if len(found.events) > 3 else "")
-        yield Finding(
+        yield PlantFinding(
             REMARK, found.detector, f"{len(found.events)} events in the healthy log: {some}; check the log, then fit thresholds"
         )

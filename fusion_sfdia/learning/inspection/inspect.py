@@ -16,7 +16,7 @@ from fusion_sfdia.learning.inspection.feedthrough import feedthrough, of_feedthr
 from fusion_sfdia.learning.inspection.healthy import of_healthy, on_healthy
 from fusion_sfdia.learning.inspection.inspection import Inspection
 from fusion_sfdia.learning.inspection.observability import observability, of_readings
-from fusion_sfdia.learning.inspection.plant_findings import MISTAKE, REMARK, Finding, mistakes, not_analytic
+from fusion_sfdia.learning.inspection.plant_findings import MISTAKE, REMARK, PlantFinding, mistakes, not_analytic
 from fusion_sfdia.learning.inspection.promises import GROWTH, promised
 from fusion_sfdia.learning.inspection.steady import of_start
 from fusion_sfdia.learning.inspection.stepping import of_step, stepping
@@ -60,7 +60,7 @@ def inspect(
     if wrong:
         return Inspection(found, (*_unstable(found), *wrong))
     log = None if healthy is None else one_run(as_log(found, healthy))
-    remarks: list[Finding] = [*of_start(found), *not_analytic(found), *of_turns(turns(found)), *beyond_a_turn(found)]
+    remarks: list[PlantFinding] = [*of_start(found), *not_analytic(found), *of_turns(turns(found)), *beyond_a_turn(found)]
     step = stepping(found)
     remarks += of_step(found, step)
     remarks += of_cost(found, cost(found))
@@ -87,7 +87,7 @@ def inspect(
     return Inspection(found, tuple(findings), _derivatives(found), step, readings, theory, promise, runs, pattern, of_log)
 
 
-def _unstable(plant: Plant) -> Iterator[Finding]:
+def _unstable(plant: Plant) -> Iterator[PlantFinding]:
     """That the step is unstable, which may be the cause of other mistakes."""
     try:
         step = stepping(plant)
@@ -96,12 +96,12 @@ def _unstable(plant: Plant) -> Iterator[Finding]:
     yield from (f for f in of_step(plant, step) if f.kind == MISTAKE)
 
 
-def _attempt(examine: Callable[[], T], about: str, remarks: list[Finding]) -> T | None:
+def _attempt(examine: Callable[[], T], about: str, remarks: list[PlantFinding]) -> T | None:
     """The result, or None with a remark where the plant has no numbers for it."""
     try:
         return examine()
     except (ArithmeticError, np.linalg.LinAlgError) as error:
-        remarks.append(Finding(REMARK, about, f"not examined: {error}"))
+        remarks.append(PlantFinding(REMARK, about, f"not examined: {error}"))
         return None
 
 
@@ -123,14 +123,14 @@ def _derivatives(plant: Plant) -> tuple[str, str]:
     return step, output
 
 
-def of_theory(theory: IdentifiabilityResult) -> Iterator[Finding]:
+def of_theory(theory: IdentifiabilityResult) -> Iterator[PlantFinding]:
     """Sensors whose fault looks like an error of the model, or like the fault of another sensor."""
     for text in theory.warnings:
         about, _, what = text.partition(": ")
-        yield Finding(REMARK, about, what)
+        yield PlantFinding(REMARK, about, what)
     between = np.abs(theory.between) - np.eye(len(theory.sensors))
     for i, j in zip(*np.nonzero(np.triu(between > CONFOUNDED)), strict=True):
-        yield Finding(
+        yield PlantFinding(
             REMARK,
             f"{theory.sensors[i]}, {theory.sensors[j]}",
             f"a bias of one looks like a bias of the other (rho {theory.between[i, j]:+.2f}): that they disagree is seen, "
@@ -138,18 +138,18 @@ def of_theory(theory: IdentifiabilityResult) -> Iterator[Finding]:
         )
 
 
-def of_runs(runs: tuple[Tried, ...], faults: int) -> Iterator[Finding]:
+def of_runs(runs: tuple[Tried, ...], faults: int) -> Iterator[PlantFinding]:
     """False alarms, fewer sensors at once than the `faults` that the plant allows, and sensors that were not used again."""
     for of in runs:
         if 0 < of.most_faults < faults:
-            yield Finding(
+            yield PlantFinding(
                 REMARK,
                 of.detector,
                 f"isolates at most {of.most_faults} sensor{'s' * (of.most_faults != 1)} at once, where the plant allows "
                 f"{faults}: of more faults it misses some, or names others; use another one where faults come together",
             )
         if of.healthy > LATE:
-            yield Finding(
+            yield PlantFinding(
                 REMARK,
                 of.detector,
                 f"isolates a sensor in {of.healthy:.0%} of the healthy samples of simulated runs: its results mean little; "
@@ -158,7 +158,7 @@ def of_runs(runs: tuple[Tried, ...], faults: int) -> Iterator[Finding]:
     kept = {name: [of.detector for of in runs if name in of.kept_out] for of in runs for name in of.kept_out}
     for by in dict.fromkeys(map(tuple, kept.values())):
         names = [name for name, those in kept.items() if tuple(those) == by]
-        yield Finding(
+        yield PlantFinding(
             REMARK,
             ", ".join(names) if len(names) < 5 else f"{len(names)} sensors",
             f"once isolated, not used again by {', '.join(by)} although the fault is over: after a repair call "

@@ -12,7 +12,7 @@ from fusion_sfdia.detectors.kalman_banks.identifiability import IdentifiabilityR
 from fusion_sfdia.learning.inspection.detectability import CASES, Tried
 from fusion_sfdia.learning.inspection.healthy import OnHealthy
 from fusion_sfdia.learning.inspection.observability import Observability
-from fusion_sfdia.learning.inspection.plant_findings import MISTAKE, REMARK, Finding
+from fusion_sfdia.learning.inspection.plant_findings import MISTAKE, REMARK, PlantFinding
 from fusion_sfdia.learning.inspection.promises import BIAS_WITHIN, DRIFT_WITHIN, GROWTH, Promise
 from fusion_sfdia.learning.inspection.stepping import Stepping
 from fusion_sfdia.learning.inspection.structure import Structural
@@ -29,7 +29,7 @@ class Inspection:
     """
 
     plant: Plant
-    findings: tuple[Finding, ...]
+    findings: tuple[PlantFinding, ...]
     derivatives: tuple[str, str] = ("", "")
     step: Stepping | None = None
     readings: Observability | None = None
@@ -40,12 +40,12 @@ class Inspection:
     healthy: OnHealthy | None = None
 
     @property
-    def mistakes(self) -> tuple[Finding, ...]:
+    def mistakes(self) -> tuple[PlantFinding, ...]:
         """What has to be corrected before any diagnosis."""
         return tuple(f for f in self.findings if f.kind == MISTAKE)
 
     @property
-    def remarks(self) -> tuple[Finding, ...]:
+    def remarks(self) -> tuple[PlantFinding, ...]:
         """What to know about the diagnosis of this plant."""
         return tuple(f for f in self.findings if f.kind == REMARK)
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.learning.inspection.plant_findings import REMARK, Finding
+from fusion_sfdia.learning.inspection.plant_findings import REMARK, PlantFinding
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.redundancy import Redundancy, redundancy
 
@@ -82,10 +82,10 @@ def _named(plant: Plant, directions: Array) -> tuple[str, ...]:
     return tuple(plant.states[i].name for i in np.flatnonzero(large))
 
 
-def of_readings(plant: Plant, found: Observability) -> Iterator[Finding]:
+def of_readings(plant: Plant, found: Observability) -> Iterator[PlantFinding]:
     """What to know about states and redundancy."""
     if found.rank < found.states:
-        yield Finding(
+        yield PlantFinding(
             REMARK,
             "observability",
             f"{found.states - found.rank} of {found.states} states are not determined by any reading: "
@@ -93,7 +93,7 @@ def of_readings(plant: Plant, found: Observability) -> Iterator[Finding]:
         )
     for name, states in found.needed:
         those = ", ".join(states)
-        yield Finding(
+        yield PlantFinding(
             REMARK,
             name,
             f"only this sensor determines {those}: the figures on its faults take the plant as modelled; a change of the plant "
@@ -102,7 +102,7 @@ def of_readings(plant: Plant, found: Observability) -> Iterator[Finding]:
     of = found.redundancy
     count = len(plant.sensors)
     if of.faults < max(count // 2, 1) or count < 3:
-        yield Finding(
+        yield PlantFinding(
             REMARK,
             "redundancy",
             f"{of.faults} of {count} sensors may be isolated at once: {of.reason}; detectors that exclude sensors stop there "

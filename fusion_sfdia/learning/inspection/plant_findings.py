@@ -18,7 +18,7 @@ DERIVATIVE = {
 }
 
 
-class Finding(NamedTuple):
+class PlantFinding(NamedTuple):
     """kind: "mistake", to be corrected before any diagnosis, or "remark". about: the subject. text: what, and the cure."""
 
     kind: str
@@ -29,13 +29,13 @@ class Finding(NamedTuple):
         return f"{self.about}: {self.text}"
 
 
-def mistakes(plant: Plant) -> Iterator[Finding]:
+def mistakes(plant: Plant) -> Iterator[PlantFinding]:
     """What `check_plant` finds, all of it."""
     for check in PLANT_CHECKS:
         try:
             check(plant)
         except (AssertionError, ValueError, ArithmeticError, IndexError, TypeError) as error:
-            yield Finding(MISTAKE, check.__name__.replace("_", " "), _reason(error))
+            yield PlantFinding(MISTAKE, check.__name__.replace("_", " "), _reason(error))
 
 
 def _reason(error: Exception) -> str:
@@ -44,7 +44,7 @@ def _reason(error: Exception) -> str:
     return " ".join(re.split(r"\n\s*(?:Mismatched elements|\(shapes|x and y|nan location|inf location)", text)[0].split())
 
 
-def not_analytic(plant: Plant) -> Iterator[Finding]:
+def not_analytic(plant: Plant) -> Iterator[PlantFinding]:
     """The functions in step and output that are not analytic, by their effect on Jacobians."""
     given = plant.numerics.step_jacobian, plant.numerics.output_jacobian
     for what, uses, jacobian in zip(("step", "output"), plant.non_analytic, given, strict=True):
@@ -52,7 +52,7 @@ def not_analytic(plant: Plant) -> Iterator[Finding]:
             if jacobian is None and (chosen := [use for use in uses if use.effect == effect]):
                 comparing = [use for use in chosen if use.name in ("where", "maximum", "minimum", "clip")]
                 named = comparing if effect == KINK and comparing else chosen
-                yield Finding(REMARK, what, f"{', '.join(map(str, named))}: {meaning}; {'; '.join(_cures(named))}")
+                yield PlantFinding(REMARK, what, f"{', '.join(map(str, named))}: {meaning}; {'; '.join(_cures(named))}")
 
 
 def _cures(uses: list[Use]) -> list[str]:

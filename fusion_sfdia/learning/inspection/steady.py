@@ -12,13 +12,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from fusion_sfdia.common.covariance import dense, diagonal
-from fusion_sfdia.learning.inspection.plant_findings import REMARK, Finding
+from fusion_sfdia.learning.inspection.plant_findings import REMARK, PlantFinding
 from fusion_sfdia.plant.plant import Plant
 
 MOST = 5.0  # standard deviations: Gaussian chance 6e-7 a state
 
 
-def of_start(plant: Plant) -> Iterator[Finding]:
+def of_start(plant: Plant) -> Iterator[PlantFinding]:
     """That x0 moves under the inputs at 0 s by more than its uncertainty and the process noise account for."""
     x, u = plant.x0, plant.input_at(0.0)
     with np.errstate(all="ignore"):
@@ -30,7 +30,7 @@ def of_start(plant: Plant) -> Iterator[Finding]:
     worst = int(np.argmax(times))
     if times[worst] > MOST:
         state = plant.states[worst]
-        yield Finding(
+        yield PlantFinding(
             REMARK,
             "start",
             f"with the usual inputs the nominal state is not steady: {state.name} moves by {moved[worst]:.2g} {state.unit} in "

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.common.covariance import diagonal
 from fusion_sfdia.learning.checks.models import points
-from fusion_sfdia.learning.inspection.plant_findings import MISTAKE, REMARK, Finding
+from fusion_sfdia.learning.inspection.plant_findings import MISTAKE, REMARK, PlantFinding
 from fusion_sfdia.plant.integration import IntegratedStep
 from fusion_sfdia.plant.plant import Plant
 
@@ -101,11 +101,11 @@ def _over(u: Array, x: Array) -> Array:
     return np.broadcast_to(u, (len(x), u.size))
 
 
-def of_step(plant: Plant, found: Stepping) -> Iterator[Finding]:
+def of_step(plant: Plant, found: Stepping) -> Iterator[PlantFinding]:
     """What to correct, or know, about the step."""
     dt, names = plant.dt, [s.name for s in plant.states]
     if found.timeless:
-        yield Finding(
+        yield PlantFinding(
             REMARK, "step", "it ignores dt: a gap in a log counts as one step; use dt, or state Numerics(fixed_dt=True)"
         )
         return
@@ -113,7 +113,7 @@ def of_step(plant: Plant, found: Stepping) -> Iterator[Finding]:
         return
     fastest = np.max(np.abs(found.rates), initial=0.0)
     if found.growth[0] > 1 + 1e-6 and found.rates.size and np.all(found.rates.real < 1e-9 * fastest):
-        yield Finding(
+        yield PlantFinding(
             MISTAKE,
             "step",
             f"a step of {dt:g} s is unstable: an error grows by {found.growth[0]:.3g} in each, while the fastest mode, of "
@@ -127,7 +127,7 @@ def of_step(plant: Plant, found: Stepping) -> Iterator[Finding]:
         size = found.error[worst]
         by = f"by {size:.2g} times the process noise in {names[worst]}"
         fast = f", and the fastest mode, of {found.fastest}, decays in {1 / fastest:.3g} s" if stiff else ""
-        yield Finding(
+        yield PlantFinding(
             REMARK,
             "step",
             f"one step of {dt:g} s and two of {dt / 2:g} s differ "
@@ -135,7 +135,7 @@ def of_step(plant: Plant, found: Stepping) -> Iterator[Finding]:
             f"{_finer(plant, size, fastest)}{', or state more process_sigma' if size > 1 else ''}",
         )
     if np.isinf(plant.numerics.max_dt) and np.isfinite(found.holds):
-        yield Finding(
+        yield PlantFinding(
             REMARK,
             "step",
             f"no longest step is stated, but its error exceeds the process noise beyond {found.holds:g} s; state "

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.learning.inspection.plant_findings import REMARK, Finding
+from fusion_sfdia.learning.inspection.plant_findings import REMARK, PlantFinding
 from fusion_sfdia.learning.inspection.stepping import SHORT
 from fusion_sfdia.plant.plant import Plant
 
@@ -71,12 +71,14 @@ def _patterns(plant: Plant) -> tuple[Array, Array]:
     return tuple(np.abs(m) > ABSENT * np.max(np.abs(m), axis=-1, keepdims=True) for m in (A, H))
 
 
-def of_structure(found: Structural) -> Iterator[Finding]:
+def of_structure(found: Structural) -> Iterator[PlantFinding]:
     """What to know about the pattern of the equations."""
     for name in found.undetectable:
-        yield Finding(REMARK, name, "no other equation contradicts its readings: its fault cannot be detected; add a sensor")
+        yield PlantFinding(
+            REMARK, name, "no other equation contradicts its readings: its fault cannot be detected; add a sensor"
+        )
     for group in found.groups:
-        yield Finding(
+        yield PlantFinding(
             REMARK,
             ", ".join(group),
             "by the pattern of the equations a fault of one cannot be told from another; only sizes and timing decide",

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.learning.inspection.plant_findings import REMARK, Finding
+from fusion_sfdia.learning.inspection.plant_findings import REMARK, PlantFinding
 from fusion_sfdia.plant.cyclic import Cyclic
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.regularity import TURNS
@@ -90,7 +90,7 @@ def _jumps(function: Callable[[Array], Array], plant: Plant, j: int) -> dict[int
     return found
 
 
-def of_turns(found: list[Turn]) -> Iterator[Finding]:
+def of_turns(found: list[Turn]) -> Iterator[PlantFinding]:
     """A remark for the values that jump by one period, with the cure."""
     groups: dict[tuple[str, str, str], list[Turn]] = {}
     for turn in found:
@@ -98,7 +98,7 @@ def of_turns(found: list[Turn]) -> Iterator[Finding]:
     for (period, state, of), members in groups.items():
         names, unit = ", ".join(t.name for t in members), members[0].unit
         jumps = "jumps" if len(members) == 1 else "jump"
-        yield Finding(
+        yield PlantFinding(
             REMARK,
             names,
             f"{jumps} by {period}{'' if unit == '1' else ' ' + unit} where {state} passes {members[0].at:.4g}, as a modulo "
@@ -107,7 +107,7 @@ def of_turns(found: list[Turn]) -> Iterator[Finding]:
         )
 
 
-def beyond_a_turn(plant: Plant) -> Iterator[Finding]:
+def beyond_a_turn(plant: Plant) -> Iterator[PlantFinding]:
     """A remark for the sensors of angles that the model, in STEPS of its usual operation, counts beyond one turn."""
     stated = () if plant.cyclic_sensors is None else plant.cyclic_sensors.at.tolist()
     angles = {i: TURNS[s.unit] for i, s in enumerate(plant.sensors) if s.unit in ANGLES and i not in stated}
@@ -123,7 +123,7 @@ def beyond_a_turn(plant: Plant) -> Iterator[Finding]:
     turned = [i for i, turn in angles.items() if np.any(values[:, i] < -turn / 2) or np.any(values[:, i] > turn)]
     if turned:
         of = plant.sensors[turned[0]]
-        yield Finding(
+        yield PlantFinding(
             REMARK,
             ", ".join(plant.sensor_names[i] for i in turned),
             f"the model counts beyond a turn: where the sensor shows an angle within one, state "

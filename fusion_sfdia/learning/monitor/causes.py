@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.learning.monitor.held_out import WITNESS, Learnt
+from fusion_sfdia.learning.monitor.held_out import WITNESS, LearntLimits
 from fusion_sfdia.learning.monitor.judging import Judged
 from fusion_sfdia.learning.monitor.residuals import Test, level_errors, novelty
 
@@ -67,7 +67,7 @@ class Trouble(NamedTuple):
         return cls(-1, -REST - 1, 0, 0, np.zeros(channels, bool))
 
 
-def causes(learnt: Learnt, found: Judged, before: Trouble | None = None) -> tuple[Causes, Trouble]:
+def causes(learnt: LearntLimits, found: Judged, before: Trouble | None = None) -> tuple[Causes, Trouble]:
     """The verdict of each row, and what the next ones take from them."""
     tests = learnt.limits.tests
     total, n = found.ratio.shape[1:]
@@ -96,7 +96,7 @@ def causes(learnt: Learnt, found: Judged, before: Trouble | None = None) -> tupl
     return Causes(kind, named, suspect, size, scale, shown, outside), trouble
 
 
-def _explain(learnt: Learnt, found: Judged, ratio: Array, rows: Array, into: tuple[Array, ...]) -> None:
+def _explain(learnt: LearntLimits, found: Judged, ratio: Array, rows: Array, into: tuple[Array, ...]) -> None:
     kind, named, suspect, size = into
     tests = learnt.limits.tests
     n, channels = ratio.shape[2], found.means[1].now.shape[1]
@@ -170,7 +170,7 @@ def _explain(learnt: Learnt, found: Judged, ratio: Array, rows: Array, into: tup
 
 
 def _without(
-    learnt: Learnt, found: Judged, rows: Array, which: tuple[int, ...], wanted: dict[int, Array]
+    learnt: LearntLimits, found: Judged, rows: Array, which: tuple[int, ...], wanted: dict[int, Array]
 ) -> tuple[Array, Array]:
     """The largest ratio of other sensors at the wanted scales, and novelty, without some channels (R,)."""
     tests, limits = learnt.limits.tests, learnt.limits.limit
@@ -201,7 +201,7 @@ def _without(
 
 
 def _two(
-    learnt: Learnt, found: Judged, row: int, by_sensor: Array, of_row: tuple[Array, dict[int, Array]]
+    learnt: LearntLimits, found: Judged, row: int, by_sensor: Array, of_row: tuple[Array, dict[int, Array]]
 ) -> tuple[int, int] | None:
     """Two sensors that explain a row together, the best one with each of the next three; of_row: what each leaves, and the
     scales in alarm.
@@ -219,7 +219,7 @@ def _two(
     return None
 
 
-def _sizes(learnt: Learnt, found: Judged, rows: Array, ratio: Array, named: Array, size: Array) -> None:
+def _sizes(learnt: LearntLimits, found: Judged, rows: Array, ratio: Array, named: Array, size: Array) -> None:
     """By how much the named sensors are off: the level at the scale that shows it most, without the other named ones."""
     tests = learnt.limits.tests
     n = size.shape[1]
@@ -235,7 +235,7 @@ def _sizes(learnt: Learnt, found: Judged, rows: Array, ratio: Array, named: Arra
             size[at] = np.where(some[own], e.level * e.wider, size[at])
 
 
-def _words(learnt: Learnt, ratio: Array, rows: Array, kind: Array, named: Array, suspect: Array) -> None:
+def _words(learnt: LearntLimits, ratio: Array, rows: Array, kind: Array, named: Array, suspect: Array) -> None:
     """A sensor that nothing else measures has moved: it or the process."""
     tests = learnt.limits.tests
     n = ratio.shape[2]

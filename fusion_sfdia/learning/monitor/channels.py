@@ -30,7 +30,7 @@ MISSING = 0.3  # share of readings that a channel may lack
 PARTS = 8  # parts of the healthy rows, in at least half of which a channel must have readings, and move
 
 
-class Piece(NamedTuple):
+class GridRows(NamedTuple):
     """Rows on a grid: times t (K,), readings of all columns v (K, n) in their own units, NaN where there is none.
 
     rows (K,): the row of the log that each was, the last one where it was several, -1 where none was.
@@ -69,7 +69,7 @@ def _require_rising(t: Array, which: str) -> None:
         raise ValueError(f"the times of {which} do not rise; sort its rows and drop duplicates")
 
 
-def pieces_of(log: Log, dt: float) -> list[Piece]:
+def pieces_of(log: Log, dt: float) -> list[GridRows]:
     """The pieces of a log of one run, t (K,), y (K, N), u (K, m), on a grid of step dt (s) from its first row on.
 
     Of several rows at one step the mean counts.
@@ -83,7 +83,7 @@ def pieces_of(log: Log, dt: float) -> list[Piece]:
         at = step[part] - step[part[0]]
         rows = np.full(at[-1] + 1, -1)
         rows[at] = part
-        found.append(Piece(t[0] + dt * (step[part[0]] + np.arange(rows.size)), _means(v[part], at, rows.size), rows))
+        found.append(GridRows(t[0] + dt * (step[part[0]] + np.arange(rows.size)), _means(v[part], at, rows.size), rows))
     return found
 
 
@@ -188,7 +188,7 @@ def deviations(channels: Channels) -> Array:
     return found
 
 
-def learn_channels(sensors: Sequence[Signal], inputs: Sequence[Signal], logs: Sequence[Sequence[Piece]]) -> Channels:
+def learn_channels(sensors: Sequence[Signal], inputs: Sequence[Signal], logs: Sequence[Sequence[GridRows]]) -> Channels:
     """Which columns of healthy logs, each in pieces, can be learnt; ValueError where fewer than two can."""
     signals = (*sensors, *inputs)
     require_unique("signals of a log", [s.name for s in signals])
@@ -222,7 +222,7 @@ def learn_channels(sensors: Sequence[Signal], inputs: Sequence[Signal], logs: Se
     return Channels(tuple(sensors), tuple(inputs), of, hold, floor, mean, sd, left_out, still)
 
 
-def _hold(logs: Sequence[Sequence[Piece]], columns: int) -> Array:
+def _hold(logs: Sequence[Sequence[GridRows]], columns: int) -> Array:
     """The longest distance (n,) in rows of the readings of each column whose readings are usually further apart than SELDOM."""
     found = np.zeros(columns)
     for i in range(columns):

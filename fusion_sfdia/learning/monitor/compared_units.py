@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from fusion_sfdia.diagnosis.events import with_unit
-from fusion_sfdia.learning.monitor.windows import Moments, completed, precision_of, window_means
+from fusion_sfdia.learning.monitor.windows import WindowSums, completed, precision_of, window_means
 from fusion_sfdia.plant.signals import Signal
 
 Array = NDArray[Any]
@@ -85,10 +85,10 @@ def _most_different(sensors: Sequence[Signal], units: dict[str, Array]) -> Diffe
         return None
     mean, sd = np.nanmean(every[:, used], axis=0), np.nanstd(every[:, used], axis=0)
     z = [(m[:, used] - mean) / sd for m in units.values()]
-    moments = [Moments.of(np.nan_to_num(x)) for x in z]
+    moments = [WindowSums.of(np.nan_to_num(x)) for x in z]
     of_units = np.empty((2, len(z), count))  # levels, and logarithms of spreads
     for k, x in enumerate(z):
-        others = Moments.together([m for j, m in enumerate(moments) if j != k])
+        others = WindowSums.together([m for j, m in enumerate(moments) if j != k])
         precision = precision_of(others.covariance(centred=True), RIDGE)
         e = (completed(precision, x - others.mean) @ precision / np.diagonal(precision))[:, :count]
         of_units[:, k] = np.median(e, axis=0), np.log(np.maximum(np.std(e, axis=0), 1e-12))

@@ -23,8 +23,8 @@ from fusion_sfdia.learning.monitor.residuals import (
     SCALES,
     Means,
     Model,
-    Rows,
     Scale,
+    ScaledRows,
     Test,
     about_reference,
     learn_scale,
@@ -36,7 +36,7 @@ from fusion_sfdia.learning.monitor.residuals import (
     stacked,
     tests_of,
 )
-from fusion_sfdia.learning.monitor.windows import Moments, errors, precision_of
+from fusion_sfdia.learning.monitor.windows import WindowSums, errors, precision_of
 
 Array = NDArray[Any]
 
@@ -60,7 +60,7 @@ STEADY, MOVES = 1.2, 0.75  # ratio of steps to variance of the blocks' means, an
 WILD = 3.0  # times the median over blocks: a block that widens a limit is reported
 
 
-class Unlike(NamedTuple):
+class UnlikeBlock(NamedTuple):
     """A block in which a sensor differs from the rest: its place (block), the sensor's index and by which factor."""
 
     block: int
@@ -80,8 +80,8 @@ class Limits:
     tests: tuple[Test, ...]
     limit: Array
     rate: tuple[float, float, float]
-    wild: tuple[Unlike, ...]
-    unlike: tuple[Unlike, ...]
+    wild: tuple[UnlikeBlock, ...]
+    unlike: tuple[UnlikeBlock, ...]
     trend: Array
     explained: Array
     partner: Array
@@ -96,7 +96,7 @@ class Family(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Learnt:
+class LearntLimits:
     """What healthy rows teach: the model and the limits of the tests that raise alarms, and the rows between blocks (B + 1,).
 
     absolute: where the blocks are runs, the tests of the means as they are; those that raise alarms are then about the
@@ -118,7 +118,7 @@ class Learnt:
 class _Rows(NamedTuple):
     """All healthy rows: pieces, the block of each row (K,), how many blocks, whether these are runs, and how many sensors."""
 
-    pieces: Sequence[Rows]
+    pieces: Sequence[ScaledRows]
     of: Array
     blocks: int
     are_runs: bool
@@ -137,7 +137,7 @@ class _View(NamedTuple):
     """Means of all rows as one family of tests sees them, moments of the blocks, and the ridge, of each scale."""
 
     every: dict[int, Means]
-    moments: dict[int, list[Moments]]
+    moments: dict[int, list[WindowSums]]
     ridge: dict[int, float]
     centred: bool
 
@@ -145,13 +145,13 @@ class _View(NamedTuple):
         """The model of these blocks."""
         found = []
         for w, moments in self.moments.items():
-            total = Moments.together([moments[b] for b in which])
+            total = WindowSums.together([moments[b] for b in which])
             means = self.every[w].now[np.isin(rows.of, which)][:: max(w // 4, 1)]
             found.append(learn_scale(w, total, self.ridge[w], self.centred, means))
         return tuple(found)
 
 
-def learn(pieces: Sequence[Rows], count: int, rate: float, logs: Sequence[int] = ()) -> Learnt:
+def learn(pieces: Sequence[ScaledRows], count: int, rate: float, logs: Sequence[int] = ()) -> LearntLimits:
     """Learn from pieces of healthy rows.
 
     count: sensors. rate: share of rows in alarm. logs: of which log each piece is; with at least `RUNS` logs, none longer than
@@ -170,14 +170,14 @@ def learn(pieces: Sequence[Rows], count: int, rate: float, logs: Sequence[int] =
     tested = [w for w in known if w <= max(total / TESTED, 1)]
     absolute = _view(rows, known)
     if not rows.are_runs:
-        return Learnt(*_family(rows, absolute, tests_of(tested, total // TESTED), rate), edges)
+        return LearntLimits(*_family(rows, absolute, tests_of(tested, total // TESTED), rate), edges)
     shortest = float(np.median(np.diff(edges)))
     relative = [w for w in tested if w <= LONGEST_RELATIVE and settled(w)[1] <= max(shortest / 2, settled(1)[1])]
     of_all = _family(rows, absolute, tuple(t for t in tests_of(tested, 0) if t.kind in ("level", "change")), rate)
     own = _family(rows, _view(rows, relative, relative=True), tests_of(relative, total // TESTED), rate)
     explained = np.fmax(own.limits.explained, of_all.limits.explained)
     limits = replace(own.limits, explained=explained, trend=np.zeros(count, bool))
-    return Learnt(own.model, limits, edges, of_all, max(lengths))
+    return LearntLimits(own.model, limits, edges, of_all, max(lengths))
 
 
 def _runs(lengths: Sequence[int], logs: Sequence[int]) -> list[int] | None:
@@ -221,17 +221,17 @@ def _joined(parts: Sequence[Means]) -> Means:
     )  # fmt: skip
 
 
-def _ridge(rows: _Rows, x: Array, at: Array, centred: bool) -> tuple[float, list[Moments]]:
+def _ridge(rows: _Rows, x: Array, at: Array, centred: bool) -> tuple[float, list[WindowSums]]:
     """The ridge with the smallest held-out errors of levels, and the moments of each block; x (R, 2 n) of the rows at (R,)."""
     whole = np.isfinite(x).all(axis=1)
     x, block = x[whole], rows.of[at[whole]]
-    moments = [Moments.of(x[block == b]) for b in range(rows.blocks)]
+    moments = [WindowSums.of(x[block == b]) for b in range(rows.blocks)]
     worth = np.zeros(len(RIDGES))
     for b in range(rows.blocks):
         own = x[block == b]
         if not len(own):
             continue
-        total = Moments.together([moments[c] for c in rows.others(b)])
+        total = WindowSums.together([moments[c] for c in rows.others(b)])
         if centred:
             own = own - total.mean
         for k, ridge in enumerate(RIDGES):
@@ -405,12 +405,12 @@ def _limits(tests: tuple[Test, ...], stats: list[Array], used: list[Array], a: f
     ])  # fmt: skip
     half = student.ppf(0.9, blocks - 1) * np.std(share, ddof=1) * np.sqrt(1 + 1 / blocks)
     rate = (float(np.mean(share)), max(float(np.mean(share) - half), 0.0), max(float(np.mean(share) + half), a))
-    unlike = tuple(Unlike(b, i, float(of_sensor[b, i])) for b, i in np.argwhere(of_sensor > UNLIKE).tolist())
+    unlike = tuple(UnlikeBlock(b, i, float(of_sensor[b, i])) for b, i in np.argwhere(of_sensor > UNLIKE).tolist())
     middle = _median(q, 0)
     wild = []
     for b, k, i in np.argwhere(q > WILD * middle).tolist():
         if tests[k].kind in ("level", "change", "noise"):
-            wild.append(Unlike(b, i, float(q[b, k, i] / middle[k, i])))
+            wild.append(UnlikeBlock(b, i, float(q[b, k, i] / middle[k, i])))
     n = q.shape[-1]
     full = limits(np.ones(blocks, bool))
     unknown = np.zeros(n, bool), np.ones(n), np.full(n, -1), np.full((len(tests), n), np.nan)

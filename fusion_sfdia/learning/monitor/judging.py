@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.learning.monitor.held_out import Learnt
+from fusion_sfdia.learning.monitor.held_out import LearntLimits
 from fusion_sfdia.learning.monitor.residuals import (
     NOISE,
     NOISE_CLIP,
     Means,
-    Rows,
     Scale,
+    ScaledRows,
     Test,
     about_reference,
     blank,
@@ -90,19 +90,19 @@ class Before(NamedTuple):
     operation: int
 
     @classmethod
-    def none(cls, learnt: Learnt) -> Before:
+    def none(cls, learnt: LearntLimits) -> Before:
         """At the beginning."""
         n, count = len(learnt.familiar[0].centre), learnt.limits.limit.shape[1]
         no = np.zeros(0, bool)
         return cls(Tails(np.zeros((0, n)), np.zeros((0, n)), np.zeros((0, count)), no, no), 0)
 
 
-def reach(learnt: Learnt) -> int:
+def reach(learnt: LearntLimits) -> int:
     """How many rows before a row its tests take."""
     return max(2 * max(s.w for s in learnt.familiar), max(NOISE) + QUIET, learnt.longest)
 
 
-def judged(learnt: Learnt, rows: Rows, before: Before | None = None) -> tuple[Judged, Before]:
+def judged(learnt: LearntLimits, rows: ScaledRows, before: Before | None = None) -> tuple[Judged, Before]:
     """Judge the rows that follow on others, of which at least the last `reach` are given; and what is before the next ones."""
     n, tests, limits = learnt.limits.limit.shape[1], learnt.limits.tests, learnt.limits.limit
     before = before or Before.none(learnt)
@@ -179,14 +179,14 @@ def judged(learnt: Learnt, rows: Rows, before: Before | None = None) -> tuple[Ju
     return Judged(tests, means, every, ratio, novel, unlike, stopped, together), left
 
 
-def _as_tested(learnt: Learnt, every: dict[int, Means], starts: Sequence[int], scales: Sequence[int]) -> dict[int, Means]:
+def _as_tested(learnt: LearntLimits, every: dict[int, Means], starts: Sequence[int], scales: Sequence[int]) -> dict[int, Means]:
     """The means that the tests take: as they are, or, where logs are runs, about the beginning of each operation."""
     if learnt.absolute is None:
         return {w: every[w] for w in scales}
     return about_reference(every, starts, scales)
 
 
-def _operations(learnt: Learnt, z: Array, start: int, new: int) -> list[int]:
+def _operations(learnt: LearntLimits, z: Array, start: int, new: int) -> list[int]:
     """The rows in which operations begin: the present one, and, among the new rows, after the longest learnt run, and where the
     leading scores about the beginning are as in no learnt run whichever sensor is left out.
     """
@@ -210,7 +210,7 @@ def _operations(learnt: Learnt, z: Array, start: int, new: int) -> list[int]:
         starts.append(min(ends))
 
 
-def _unlike(learnt: Learnt, every: dict[int, Means], n: int) -> Array:
+def _unlike(learnt: LearntLimits, every: dict[int, Means], n: int) -> Array:
     """How far each sensor is from the learnt runs (K, N), the largest statistic over its limit; 0 where logs are no runs."""
     found = np.zeros((len(every[1].now), n))
     if learnt.absolute is not None:

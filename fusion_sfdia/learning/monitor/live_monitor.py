@@ -13,7 +13,7 @@ from fusion_sfdia.detectors.detector import Claims, Decision, ProcessHypothesis,
 from fusion_sfdia.detectors.state import State, mapped
 from fusion_sfdia.learning.monitor.causes import Trouble, causes
 from fusion_sfdia.learning.monitor.channels import Channels
-from fusion_sfdia.learning.monitor.held_out import Learnt
+from fusion_sfdia.learning.monitor.held_out import LearntLimits
 from fusion_sfdia.learning.monitor.judging import Before, judged, reach
 from fusion_sfdia.learning.monitor.residuals import Ahead, rows_of
 from fusion_sfdia.learning.monitor.row_verdicts import Verdicts, decisions_of, plant_of, tested, verdicts_of
@@ -31,12 +31,12 @@ class Past(NamedTuple):
     trouble: Trouble
 
     @classmethod
-    def none(cls, channels: Channels, learnt: Learnt) -> Past:
+    def none(cls, channels: Channels, learnt: LearntLimits) -> Past:
         """At the beginning of a piece."""
         return cls(Ahead.none(channels), Before.none(learnt), Trouble.none(len(channels.used)))
 
 
-def follow(channels: Channels, learnt: Learnt, t: Array, v: Array, past: Past) -> tuple[Verdicts, Past]:
+def follow(channels: Channels, learnt: LearntLimits, t: Array, v: Array, past: Past) -> tuple[Verdicts, Past]:
     """The verdicts on rows of the grid at t (K,), readings v (K, n) of all columns, and what is past for the next ones."""
     rows, ahead = rows_of(channels, v, past.ahead)
     tests, before = judged(learnt, rows, past.before)
@@ -51,7 +51,7 @@ class Kept(NamedTuple):
     past: Any
 
 
-class Grid(NamedTuple):
+class LiveGrid(NamedTuple):
     """What a live monitor keeps: the time of the first row, NaN before it; the number of the present step; of its readings (n,)
     how many, their total, the least and the largest; and what was past before that step and with it.
     """
@@ -76,7 +76,7 @@ class LiveMonitor(Claims):
 
     channels: Channels
     dt: float
-    learnt: Learnt
+    learnt: LearntLimits
 
     @cached_property
     def plant(self) -> Plant:
@@ -99,7 +99,7 @@ class LiveMonitor(Claims):
             raise ValueError(f"batch is {batch}; a live monitor follows one run, batch ()")
         columns, nothing = self.channels.hold.size, self._kept(Past.none(self.channels, self.learnt))
         nan, count = np.full(columns, np.nan), np.zeros(columns)
-        grid = Grid(np.array(np.nan), np.array(-1), count, count, nan, nan, nothing, nothing)
+        grid = LiveGrid(np.array(np.nan), np.array(-1), count, count, nan, nan, nothing, nothing)
         return State(np.array(seed), np.array(0), np.array(float(t)), np.array(False), np.array(-1), grid)
 
     def step(self, state: State, t: float, y: Array, u: Array) -> tuple[State, Decision]:
@@ -110,7 +110,7 @@ class LiveMonitor(Claims):
         return self._stepped(state, t, np.concatenate([y, u]))
 
     def _stepped(self, state: State, t: float, y: Array) -> tuple[State, Decision]:
-        grid: Grid = state.memory
+        grid: LiveGrid = state.memory
         start = t if np.isnan(grid.start) else float(grid.start)
         step, at = int(np.rint((t - start) / self.dt)), int(grid.step)
         if step < at:
@@ -137,7 +137,7 @@ class LiveMonitor(Claims):
         with np.errstate(invalid="ignore", divide="ignore"):
             v = np.where(known == 0, np.nan, np.where(least == most, least, total / known))
         verdicts, past = self._follow(np.array([start + self.dt * step]), v[None], before)
-        memory = Grid(np.array(start), np.array(step), known, total, least, most, before, self._kept(past))
+        memory = LiveGrid(np.array(start), np.array(step), known, total, least, most, before, self._kept(past))
         return state._replace(steps=state.steps + 1, t=np.array(float(t)), memory=memory), chosen(
             decisions_of(self.channels, verdicts), -1
         )

@@ -18,8 +18,8 @@ from fusion_sfdia.diagnosis.diagnose import Diagnosis
 from fusion_sfdia.diagnosis.events import with_unit
 from fusion_sfdia.diagnosis.watch import Watch
 from fusion_sfdia.learning.monitor.causes import OK
-from fusion_sfdia.learning.monitor.channels import Channels, Piece, learn_channels, pieces_of, usual_step
-from fusion_sfdia.learning.monitor.held_out import WITNESS, Learnt, learn
+from fusion_sfdia.learning.monitor.channels import Channels, GridRows, learn_channels, pieces_of, usual_step
+from fusion_sfdia.learning.monitor.held_out import WITNESS, LearntLimits, learn
 from fusion_sfdia.learning.monitor.live_monitor import LiveMonitor, Past, follow
 from fusion_sfdia.learning.monitor.residuals import rows_of
 from fusion_sfdia.learning.monitor.row_verdicts import JOINED, SECONDS, Verdicts, diagnosed, joined_verdicts, plant_of
@@ -57,7 +57,7 @@ class Monitor:
     dt: float
     rate: Rate
     per_row: float
-    learnt: Learnt
+    learnt: LearntLimits
     healthy: tuple[tuple[str, int, str, str], ...]
     logs: tuple[Log, ...]
     remarks: tuple[str, ...] = field(default=())
@@ -313,13 +313,13 @@ def _name(source: Any, k: int) -> str:
     return Path(source).name if isinstance(source, str | Path) else f"healthy log {k}"
 
 
-def _there(piece: Piece) -> Piece:
+def _there(piece: GridRows) -> GridRows:
     """The rows of a piece that are in its log."""
     some = piece.rows >= 0
-    return Piece(piece.t[some], piece.v[some], piece.rows[some])
+    return GridRows(piece.t[some], piece.v[some], piece.rows[some])
 
 
-def _as_log(pieces: Sequence[Piece], sensors: int) -> Log:
+def _as_log(pieces: Sequence[GridRows], sensors: int) -> Log:
     values = np.concatenate([p.v for p in pieces])
     return Log(np.concatenate([p.t for p in pieces]), values[:, :sensors], values[:, sensors:])
 

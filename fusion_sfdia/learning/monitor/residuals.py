@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.learning.monitor.channels import Channels, Read, read
 from fusion_sfdia.learning.monitor.windows import (
     Errors,
-    Moments,
+    WindowSums,
     completed,
     earlier,
     errors,
@@ -97,7 +97,7 @@ class Scale(NamedTuple):
 Model = tuple[Scale, ...]
 
 
-class Rows(NamedTuple):
+class ScaledRows(NamedTuple):
     """Scaled readings of a piece, z (K, n), with what needs no model: repeats, missing (K, N) in rows, spikes (K, N)."""
 
     z: Array
@@ -118,13 +118,13 @@ class Ahead(NamedTuple):
         return cls(Read.none(channels.hold.size), np.full((SPIKE, channels.count), np.nan))
 
 
-def rows_of(channels: Channels, v: Array, ahead: Ahead | None = None) -> tuple[Rows, Ahead]:
+def rows_of(channels: Channels, v: Array, ahead: Ahead | None = None) -> tuple[ScaledRows, Ahead]:
     """The rows of readings v (K, n) of all columns, scaled, with what needs no model; and what is ahead of the next ones."""
     ahead, n = ahead or Ahead.none(channels), channels.count
     own, every = channels.used[:n], read(v, ahead.read)
     z = channels.scaled(every.held(channels.hold))
     with_last = np.concatenate([ahead.z, z[:, :n]])
-    rows = Rows(z, every.equal[:, own], every.age[:, own], spikes(with_last)[SPIKE:])
+    rows = ScaledRows(z, every.equal[:, own], every.age[:, own], spikes(with_last)[SPIKE:])
     return rows, Ahead(Read(*(a[-1] for a in every)), with_last[-SPIKE:])
 
 
@@ -144,7 +144,7 @@ def _off(middle: Array, before: Array, after: Array) -> Array:
         return np.where(a * b > 0, np.sign(a) * np.minimum(np.abs(a), np.abs(b)), 0.0)
 
 
-def learn_scale(w: int, moments: Moments, ridge: float, centred: bool, means: Array) -> Scale:
+def learn_scale(w: int, moments: WindowSums, ridge: float, centred: bool, means: Array) -> Scale:
     """The scale of these moments of x; means (K, n): of windows in learning, for the limit of novelty."""
     covariance = moments.covariance(centred)
     n = len(covariance) // 2

@@ -7,7 +7,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from fusion_sfdia.learning.monitor.channels import Channels
-from fusion_sfdia.learning.monitor.held_out import Family, Learnt, Limits
+from fusion_sfdia.learning.monitor.held_out import Family, LearntLimits, Limits
 from fusion_sfdia.learning.monitor.residuals import Scale, Test
 from fusion_sfdia.plant.signals import Signal
 
@@ -18,7 +18,7 @@ OF_SCALE = ("centre", "precision", "level", "lead")
 OF_LIMITS = ("limit", "trend", "explained", "partner", "deviation")
 
 
-def packed(channels: Channels, learnt: Learnt) -> tuple[Arrays, dict[str, Any]]:
+def packed(channels: Channels, learnt: LearntLimits) -> tuple[Arrays, dict[str, Any]]:
     """Arrays by name, and the rest."""
     arrays: Arrays = {name: getattr(channels, name) for name in OF_CHANNELS} | {"edges": learnt.edges}
     families = {"own": Family(learnt.model, learnt.limits)} | ({"absolute": learnt.absolute} if learnt.absolute else {})
@@ -32,14 +32,14 @@ def packed(channels: Channels, learnt: Learnt) -> tuple[Arrays, dict[str, Any]]:
     }
 
 
-def unpacked(arrays: Arrays, about: dict[str, Any]) -> tuple[Channels, Learnt]:
+def unpacked(arrays: Arrays, about: dict[str, Any]) -> tuple[Channels, LearntLimits]:
     """What `packed` was given; KeyError, TypeError or ValueError for anything else."""
     sensors, inputs = (tuple(Signal(*s) for s in about[what]) for what in ("sensors", "inputs"))
     used, hold, floor, mean, sd = (arrays[name] for name in OF_CHANNELS)
     channels = Channels(sensors, inputs, used, hold, floor, mean, sd, dict(about["left_out"]), dict(about["still"]))
     families = {name: _unpacked(name, given, arrays) for name, given in about["families"].items()}
     own = families["own"]
-    return channels, Learnt(own.model, own.limits, arrays["edges"], families.get("absolute"), int(about["longest"]))
+    return channels, LearntLimits(own.model, own.limits, arrays["edges"], families.get("absolute"), int(about["longest"]))
 
 
 def _packed(name: str, family: Family, arrays: Arrays) -> dict[str, Any]:

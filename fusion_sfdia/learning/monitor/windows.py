@@ -128,7 +128,7 @@ def errors(precision: Array, x: Array, count: int) -> Errors:
         return Errors(change * whole[0], level * whole[1], np.sqrt(own / d) / whole[1])
 
 
-class Moments(NamedTuple):
+class WindowSums(NamedTuple):
     """Of rows of x (K, q): how many, their total (q,) and the sum of their squares (q, q)."""
 
     rows: float
@@ -136,11 +136,11 @@ class Moments(NamedTuple):
     square: Array
 
     @classmethod
-    def of(cls, x: Array) -> Moments:
+    def of(cls, x: Array) -> WindowSums:
         return cls(float(len(x)), np.sum(x, axis=0), x.T @ x)
 
     @classmethod
-    def together(cls, parts: Sequence[Moments]) -> Moments:
+    def together(cls, parts: Sequence[WindowSums]) -> WindowSums:
         """Of the rows of all parts."""
         first, *others = parts
         for m in others:
@@ -172,5 +172,5 @@ def filled(x: Array, ridge: float) -> Array:
     x = np.where(some[:, None], x, np.nan)
     full = np.where(np.isfinite(x), x, 0.0)
     for _ in range(ROUNDS):
-        full[some] = completed(precision_of(Moments.of(full[some]).covariance(), ridge), x[some])
+        full[some] = completed(precision_of(WindowSums.of(full[some]).covariance(), ridge), x[some])
     return np.where(some[:, None], full, np.nan)

@@ -29,7 +29,7 @@ Array = NDArray[Any]
 FAR = 3.0  # prior standard deviations of an unknown, beyond which it is remarked on
 
 
-class Frozen(NamedTuple):
+class FrozenTuning(NamedTuple):
     """The tuned detector, and tables and figures of the file."""
 
     detector: FrozenBank
@@ -37,7 +37,7 @@ class Frozen(NamedTuple):
     quality: dict[str, Any]
 
 
-def tuned_frozen(plant: Plant, log: Log, at: Callable[[int, int], str], rate: Rate, strict: bool) -> Frozen:
+def tuned_frozen(plant: Plant, log: Log, at: Callable[[int, int], str], rate: Rate, strict: bool) -> FrozenTuning:
     """Commission the frozen model on runs y (K, B, N); at: the time of a row of a run in words.
 
     ValueError where rows are too few for the plant; with strict also where any have to be left out.
@@ -93,7 +93,7 @@ def tuned_frozen(plant: Plant, log: Log, at: Callable[[int, int], str], rate: Ra
         "remarks": remarks,
     }
     tables = {"sensors": _sensors(plant, learnt), "commissioned": commissioned}
-    return Frozen(detector, tables, quality)
+    return FrozenTuning(detector, tables, quality)
 
 
 def _moving(plant: Plant, log: Log, at: Callable[[int, int], str]) -> tuple[Log, list[str]]:

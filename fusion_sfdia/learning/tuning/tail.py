@@ -47,7 +47,7 @@ class Threshold(NamedTuple):
     expected: float
 
 
-class Count(NamedTuple):
+class AlarmCount(NamedTuple):
     """Samples in alarm of so many, the alarms that they form, and the rate per sample with its 95 % interval."""
 
     above: int
@@ -93,7 +93,7 @@ def shortest(rate: float) -> int:
     return int(np.ceil(max(4 * LEAST, 1 / (REACH * rate)) * (1 - 1e-9)))
 
 
-def counted(scores: Sequence[Array], scale: float | Sequence[float]) -> Count:
+def counted(scores: Sequence[Array], scale: float | Sequence[float]) -> AlarmCount:
     """Count the scores (K, R) of stretches above a threshold, or above one of each."""
     scales = [scale] * len(scores) if isinstance(scale, float) else list(scale)
     above = sum(int(np.sum(s > c)) for s, c in zip(scores, scales, strict=True))
@@ -102,10 +102,10 @@ def counted(scores: Sequence[Array], scale: float | Sequence[float]) -> Count:
     each = above / max(alarms, 1) if alarms else 1.0
     low = chi2.ppf(0.025, 2 * alarms) / 2 if alarms else 0.0
     high = chi2.ppf(0.975, 2 * alarms + 2) / 2
-    return Count(above, alarms, samples, above / samples, float(low * each / samples), float(high * each / samples))
+    return AlarmCount(above, alarms, samples, above / samples, float(low * each / samples), float(high * each / samples))
 
 
-def threshold_figures(limit: Threshold, count: Count, rate: Rate, dt: float) -> dict[str, Any]:
+def threshold_figures(limit: Threshold, count: AlarmCount, rate: Rate, dt: float) -> dict[str, Any]:
     """A threshold and what was counted above it as plain numbers, rates as the stated one."""
     return {
         "threshold": "counted" if limit.counted else "extrapolated by a generalised Pareto tail",

@@ -29,7 +29,7 @@ from fusion_sfdia.learning.tuning.drift import require_no_drift
 from fusion_sfdia.learning.tuning.equal_runs import as_even_runs
 from fusion_sfdia.learning.tuning.frozen import tuned_frozen
 from fusion_sfdia.learning.tuning.stationary import require_stationary
-from fusion_sfdia.learning.tuning.tail import Count, Threshold, counted, shortest, threshold, threshold_figures
+from fusion_sfdia.learning.tuning.tail import AlarmCount, Threshold, counted, shortest, threshold, threshold_figures
 from fusion_sfdia.learning.tuning.tuned import (
     Tuned,
     acting_plant,
@@ -47,7 +47,7 @@ Array = NDArray[Any]
 LEARNT_ON = 40  # samples above its limits from which a detector that learns sets them itself, before they are scaled
 
 
-class Source(NamedTuple):
+class HealthySource(NamedTuple):
     """Where healthy readings come from: a file, and the clock of its times."""
 
     name: str
@@ -60,7 +60,7 @@ def tune(
     false_alarm: str | float | Rate = "1/day",
     detector: str = registry.COMMISSIONED,
     strict: bool = False,
-    sources: Sequence[Source] = (),
+    sources: Sequence[HealthySource] = (),
     made: str = "",
 ) -> Tuned:
     """Tune a plant and a detector on healthy readings of the real plant.
@@ -75,7 +75,7 @@ def tune(
     """
     plant, rate, entry = registry.plant(plant), Rate.of(false_alarm), registry.find_detector(detector)
     logs = [_runs(as_runs(plant, (one,))) for one in healthy]
-    origin = list(sources) or [Source(f"readings {i + 1}") for i in range(len(logs))]
+    origin = list(sources) or [HealthySource(f"readings {i + 1}") for i in range(len(logs))]
     each, moments = [run for runs in logs for run in runs], _moments(logs, origin)
     if entry.commissions:
         log, times, of = as_even_runs(plant, each)
@@ -126,7 +126,7 @@ def tune(
     return Tuned(document | _provenance(origin, logs, made) | {"quality": quality}, final if entry.learns else None, entry)
 
 
-def _provenance(origin: Sequence[Source], logs: Sequence[Sequence[Log]], made: str) -> dict[str, Any]:
+def _provenance(origin: Sequence[HealthySource], logs: Sequence[Sequence[Log]], made: str) -> dict[str, Any]:
     """From which logs, by which version, and when."""
     healthy = [
         {
@@ -145,7 +145,7 @@ def _runs(log: Log) -> list[Log]:
     return [Log(log.t, log.y[:, i], log.u[:, i]) for i in range(log.y.shape[1])]
 
 
-def _moments(logs: Sequence[Sequence[Log]], sources: Sequence[Source]) -> list[Callable[[float], str]]:
+def _moments(logs: Sequence[Sequence[Log]], sources: Sequence[HealthySource]) -> list[Callable[[float], str]]:
     """For each run what puts a time (s) in words: on its clock, with the run and the log where there are several."""
     found: list[Callable[[float], str]] = []
     for source, runs in zip(sources, logs, strict=True):
@@ -213,7 +213,7 @@ def _held_out_scores(found: Commissioning, log: Log, build: Any) -> list[Array]:
 
 
 def _quality(
-    found: Commissioning, log: Log, limit: Threshold, count: Count, late: Delays, rate: Rate, dt: float
+    found: Commissioning, log: Log, limit: Threshold, count: AlarmCount, late: Delays, rate: Rate, dt: float
 ) -> dict[str, Any]:
     """Figures of quality by name, as plain numbers."""
     steps, runs = log.y.shape[:2]

@@ -22,9 +22,9 @@ from fusion_sfdia.detectors.batch_detector import BatchDetector
 from fusion_sfdia.detectors.detector import Detector
 from fusion_sfdia.detectors.saved_detectors import load_detector, save_detector, settings_classes
 from fusion_sfdia.learning.commissioning.commission import Commissioning
-from fusion_sfdia.learning.commissioning.disturbances import Found, moves, with_disturbance
+from fusion_sfdia.learning.commissioning.disturbances import FoundDisturbance, moves, with_disturbance
 from fusion_sfdia.learning.commissioning.noise_likelihood import Noise, state_groups, with_noise
-from fusion_sfdia.learning.commissioning.parameters import Estimate, declared, free, moved
+from fusion_sfdia.learning.commissioning.parameters import ParameterEstimate, declared, free, moved
 from fusion_sfdia.learning.commissioning.start import Start, with_start
 from fusion_sfdia.learning.tuning.response import response, warn_of_change
 from fusion_sfdia.learning.tuning.tuned_file import read_document, write_document
@@ -315,12 +315,12 @@ def learnt_plant(document: dict[str, Any], plant: Plant) -> Plant:
         if rows := document.get("parameters"):
             names = tuple(declared(plant)[0][i] for i in free(plant))
             values, sds = (np.array([number(f"{what} of {n}", rows[n][what]) for n in names]) for what in ("value", "sd"))
-            plant = moved(plant, Estimate(names, values, sds, values, sds, np.empty((0, 0)), sds))
+            plant = moved(plant, ParameterEstimate(names, values, sds, values, sds, np.empty((0, 0)), sds))
         for d in document.get("disturbance", []):
             none = np.empty((0, 0))
             state, reading = (np.array(d[what], dtype=float) for what in ("state", "reading"))
             mean, sd, lasting = (number(f"{what} of a disturbance", d[what]) for what in ("mean", "sd", "time_constant"))
-            plant = with_disturbance(plant, Found(state, reading, none, none, mean, sd, lasting, 1.0))
+            plant = with_disturbance(plant, FoundDisturbance(state, reading, none, none, mean, sd, lasting, 1.0))
         groups, table = state_groups(plant), document.get("process_noise", {})
         process = np.array([_positive(f"process noise in {unit}", table.get(unit, 1.0)) for unit in groups]) ** 2
         sigma = np.array([_positive(f"sigma of {n}", document["sensors"][n]["sigma"]) for n in plant.sensor_names])

@@ -25,7 +25,7 @@ from fusion_sfdia.study.comparison.figures import (
 from fusion_sfdia.study.comparison.looks import prominent
 from fusion_sfdia.study.comparison.metric_rows import exact_isolation, share_right
 from fusion_sfdia.study.comparison.protocol import HEALTHY, MISMATCH_SIGMA, settle_of, sizes
-from fusion_sfdia.study.comparison.ranking import Standing
+from fusion_sfdia.study.comparison.ranking import RankedDetector
 from fusion_sfdia.study.comparison.recordings import stated_distance
 from fusion_sfdia.study.comparison.result_tables import (
     changes_table,
@@ -68,7 +68,7 @@ WORDS = {
 def plant_chapter(
     settings: Settings,
     cells: Cells,
-    criteria: Mapping[str, Mapping[str, Standing]],
+    criteria: Mapping[str, Mapping[str, RankedDetector]],
     reasons: Mapping[str, str],
     published: Sequence[Row],
 ) -> Chapter:

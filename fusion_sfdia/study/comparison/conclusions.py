@@ -15,7 +15,7 @@ from fusion_sfdia.study.comparison.metric_rows import (
     under_process_faults,
 )
 from fusion_sfdia.study.comparison.protocol import length_name, sizes, stated_error
-from fusion_sfdia.study.comparison.ranking import Standing
+from fusion_sfdia.study.comparison.ranking import RankedDetector
 from fusion_sfdia.study.comparison.recordings import stated_distance
 from fusion_sfdia.study.comparison.result_tables import EVERY, Standings
 from fusion_sfdia.study.experiments.scenario import Settings
@@ -49,7 +49,7 @@ def by_plant(standings: Standings) -> list[str]:
     return found
 
 
-def place(standings: Mapping[str, Standing], name: str) -> str:
+def place(standings: Mapping[str, RankedDetector], name: str) -> str:
     """A rank in words, and how many share it."""
     rank = standings[name].rank
     shared = sum(s.rank == rank for s in standings.values())
@@ -76,7 +76,7 @@ def shortest(settings: Settings, cells: Cells) -> list[str]:
 
 
 def plant_findings(
-    settings: Settings, cells: Mapping[str, ComparisonCell], criteria: Mapping[str, Mapping[str, Standing]]
+    settings: Settings, cells: Mapping[str, ComparisonCell], criteria: Mapping[str, Mapping[str, RankedDetector]]
 ) -> list[str]:
     """The findings on one plant."""
     plant, known = next(iter(cells.values())).plant, list(cells.values())
@@ -91,7 +91,7 @@ def plant_findings(
 
 
 def leaders(
-    settings: Settings, plant: str, cells: Sequence[ComparisonCell], criteria: Mapping[str, Mapping[str, Standing]]
+    settings: Settings, plant: str, cells: Sequence[ComparisonCell], criteria: Mapping[str, Mapping[str, RankedDetector]]
 ) -> str:
     """Which detectors none exceeds beyond chance on a plant, with a note where one misses large faults."""
     _, large = sizes(settings)
@@ -115,7 +115,7 @@ def leaders(
     return f"Not exceeded beyond chance on {plant}: {'; '.join(parts)}."
 
 
-def first(standings: Mapping[str, Standing], notes: Mapping[str, str], silent: set[str]) -> str:
+def first(standings: Mapping[str, RankedDetector], notes: Mapping[str, str], silent: set[str]) -> str:
     """The detectors of the best rank, or that all are; one that never isolates never isolates falsely, and is left out."""
     ranks = {name: s.rank for name, s in standings.items() if name not in silent} or {n: s.rank for n, s in standings.items()}
     best = [f"{name} ({notes[name]})" if name in notes else name for name, rank in ranks.items() if rank == min(ranks.values())]

@@ -154,7 +154,7 @@ def draw_confusion(cells: Mapping[str, ComparisonCell]) -> Drawing:
     return figure
 
 
-class Column(NamedTuple):
+class PanelColumn(NamedTuple):
     """A column of a panel: its label, a condition and a mismatch case ("" for none)."""
 
     label: str
@@ -167,7 +167,7 @@ class Panel(NamedTuple):
 
     title: str
     measure: CellNumber
-    columns: Sequence[Column]
+    columns: Sequence[PanelColumn]
     less: bool = False  # is better
 
 
@@ -187,8 +187,8 @@ def draw_panels(cells: Mapping[str, ComparisonCell], shown: Sequence[Panel]) -> 
 def mismatch_panels(cell: ComparisonCell, biased: str) -> list[Panel]:
     """Alarms, false isolation and exact isolation by mismatch case; the first column has none."""
     cases = [("no mismatch", ""), *((m, m) for m in cell.mismatches)]
-    healthy = [Column(label, HEALTHY, mismatch) for label, mismatch in cases]
-    faulty = [Column(label, biased, mismatch) for label, mismatch in cases]
+    healthy = [PanelColumn(label, HEALTHY, mismatch) for label, mismatch in cases]
+    faulty = [PanelColumn(label, biased, mismatch) for label, mismatch in cases]
     return [
         Panel("healthy: samples with an alarm", ComparisonCell.alarms, healthy, less=True),
         Panel("healthy: samples with false isolation", ComparisonCell.false_isolation, healthy, less=True),
@@ -199,8 +199,8 @@ def mismatch_panels(cell: ComparisonCell, biased: str) -> list[Panel]:
 def other_panels(cell: ComparisonCell) -> list[Panel]:
     """What is not a single fault of a size: alarms, exact isolation where sensors are faulty, false isolation."""
     shown = [c for c in cell.conditions.values() if c.kind not in (*GRADED, HEALTHY, LENGTH)]
-    columns = [Column(c.name, c.name) for c in shown]
-    faulty = [Column(c.name, c.name) for c in shown if c.kind not in (PROCESS, "dropout")]
+    columns = [PanelColumn(c.name, c.name) for c in shown]
+    faulty = [PanelColumn(c.name, c.name) for c in shown if c.kind not in (PROCESS, "dropout")]
     found = [
         Panel("runs with an alarm", ComparisonCell.detected, columns),
         Panel("samples with exact isolation", ComparisonCell.exact, faulty),

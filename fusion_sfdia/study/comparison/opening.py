@@ -10,7 +10,7 @@ from fusion_sfdia.study.comparison.cell import ComparisonCell
 from fusion_sfdia.study.comparison.figures import Cells, of_plant
 from fusion_sfdia.study.comparison.metric_rows import exact_isolation, under_mismatch, under_process_faults
 from fusion_sfdia.study.comparison.protocol import sizes
-from fusion_sfdia.study.comparison.ranking import Standing
+from fusion_sfdia.study.comparison.ranking import RankedDetector
 from fusion_sfdia.study.comparison.result_tables import EVERY, NOT_TRIED, Standings, robustness
 from fusion_sfdia.study.experiments.scenario import Settings
 
@@ -25,7 +25,7 @@ def opening(settings: Settings, cells: Cells, standings: Standings) -> list[str]
     return [line for line in (*advice, decided(standings)) if line]
 
 
-def advised(settings: Settings, cells: Mapping[str, ComparisonCell], isolation: Mapping[str, Standing]) -> str:
+def advised(settings: Settings, cells: Mapping[str, ComparisonCell], isolation: Mapping[str, RankedDetector]) -> str:
     """Which detector to take on a plant, what it does where the model is wrong, and which does better there.
 
     Of those that nothing beats beyond chance in isolation the one with the largest share of exact isolation; where no two

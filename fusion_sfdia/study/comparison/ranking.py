@@ -25,7 +25,7 @@ Array = NDArray[Any]
 FLIPS = 20_000  # so that a hundred pairs can each differ at the family-wise error
 
 
-class Standing(NamedTuple):
+class RankedDetector(NamedTuple):
     """A detector's mean over clusters, and its rank."""
 
     mean: Estimate
@@ -84,7 +84,7 @@ def clusters(cells: Mapping[str, ComparisonCell], criterion: str) -> dict[str, A
     }
 
 
-def ranking(values: Mapping[str, Array], *, shares: bool = False) -> dict[str, Standing]:
+def ranking(values: Mapping[str, Array], *, shares: bool = False) -> dict[str, RankedDetector]:
     """Standing of detectors by their values on the same clusters (C,), larger being better; shares are from 0 to 1."""
     names = list(values)
     pairs = list(combinations(names, 2))
@@ -96,7 +96,7 @@ def ranking(values: Mapping[str, Array], *, shares: bool = False) -> dict[str, S
             first, second = (a, b) if difference.mean() > 0 else (b, a)
             better[second].add(first)
     return {
-        name: Standing(
+        name: RankedDetector(
             within(mean(values[name]), 0.0, 1.0) if shares else mean(values[name]),
             1 + len(better[name]),
         )

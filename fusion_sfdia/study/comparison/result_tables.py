@@ -19,11 +19,11 @@ from fusion_sfdia.study.comparison.metric_rows import (
     under_process_faults,
 )
 from fusion_sfdia.study.comparison.protocol import MISMATCH_SIGMA, PUBLISHED, length_name, mismatch_cases, sizes
-from fusion_sfdia.study.comparison.ranking import CRITERIA, Standing
+from fusion_sfdia.study.comparison.ranking import CRITERIA, RankedDetector
 from fusion_sfdia.study.comparison.recordings import stated_distance
 from fusion_sfdia.study.experiments.scenario import Settings
 
-Standings = Mapping[str, Mapping[str, Mapping[str, Standing]]]  # plant, criterion, detector
+Standings = Mapping[str, Mapping[str, Mapping[str, RankedDetector]]]  # plant, criterion, detector
 EVERY = "all plants"
 NOT_TRIED = "model mismatch not tried"
 
@@ -165,7 +165,7 @@ def judged(row: Row) -> str:
     return "none" if row.agrees is None else "contains it" if row.agrees else "does not"
 
 
-def ranks_table(plant: str, criteria: Mapping[str, Mapping[str, Standing]]) -> Table:
+def ranks_table(plant: str, criteria: Mapping[str, Mapping[str, RankedDetector]]) -> Table:
     """Ranks of all detectors, shared where nothing differs, and the means behind them."""
     shown = {criterion: found for criterion, found in criteria.items() if any(s.mean.n for s in found.values())}
     detectors = list(next(iter(shown.values()), {}))
@@ -230,7 +230,7 @@ def changes_table(settings: Settings, cell: ComparisonCell) -> Table:
     )
 
 
-def standing_rows(standings: Standings) -> list[tuple[str, str, str, Standing]]:
+def standing_rows(standings: Standings) -> list[tuple[str, str, str, RankedDetector]]:
     """Plant, criterion, detector and standing, flat."""
     return [
         (plant, criterion, detector, standing)

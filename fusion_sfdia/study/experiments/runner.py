@@ -46,7 +46,7 @@ WorkOff = Callable[[Sequence[Piece]], Iterator[Done]]
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RunOutcome:
     """Rows of metrics.csv, the scenarios' highlights, a line for each failure, the report's path, lines of damaged parts."""
 
     rows: list[Row]
@@ -79,7 +79,7 @@ def run_scenarios(
     workers: int | None = None,
     scheduler: str | None = None,
     force: bool = False,
-) -> Outcome:
+) -> RunOutcome:
     """Run scenarios and write metrics.csv, figures, report.html and manifest.json into the folder `out`.
 
     seeds: runs of each scenario (None: its default, or with full the paper's size). changes: settings as text, each known
@@ -115,7 +115,7 @@ def run_scenarios(
         remove_other_parts(out, {part for plan in plans for part in plan.parts})
         write_manifest(out, manifest)
     highlights = [line for section in sections for line in section.summary.highlights]
-    return Outcome(rows, highlights, [line for s in sections for line in s.failures], out / "report.html", notes)
+    return RunOutcome(rows, highlights, [line for s in sections for line in s.failures], out / "report.html", notes)
 
 
 def _manifest(plans: list[_Plan], command: Command, begun: float, workers: int | str, files: list[str]) -> dict[str, Any]:

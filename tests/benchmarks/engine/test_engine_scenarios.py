@@ -27,8 +27,8 @@ from fusion_sfdia.models.marine_engine.published import (
     SIGNATURES,
     THREE_FAULTS,
     TWO_FAULTS,
-    Offset,
     PrintedTable,
+    PublishedOffset,
     minimum_fault,
     signatures,
 )
@@ -76,7 +76,7 @@ def test_the_printed_timelines_checked_by_hand() -> None:
 
 def test_first_alarms_are_those_of_the_decisions() -> None:
     """A fault at 1 s: the module of its sensor fires with it; what is kept follows from the Decisions."""
-    faults = (Offset("S(2){3}", 1.0, -3.8e4),)
+    faults = (PublishedOffset("S(2){3}", 1.0, -3.8e4),)
     settings = {"noise": 0.05, "duration": 2.5, "detectors": DETECTORS[:1]}
     (task,) = tasks(settings, faults, 3)
     found = trial(task)

@@ -24,7 +24,7 @@ from fusion_sfdia.benchmarks.engine.support.virtual_trials import (
     virtual_sensors,
 )
 from fusion_sfdia.benchmarks.engine.virtual_sensors import sensor_rows
-from fusion_sfdia.models.marine_engine.published import Offset
+from fusion_sfdia.models.marine_engine.published import PublishedOffset
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.study.experiments.scenario import Arrays
 from fusion_sfdia.study.scenarios import scenario
@@ -52,9 +52,9 @@ def test_intervals_contain_the_faults_and_narrow_when_intersected() -> None:
     assert widths[0] <= widths[1]
 
 
-def short(variant: str) -> tuple[Arrays, list[Offset]]:
+def short(variant: str) -> tuple[Arrays, list[PublishedOffset]]:
     """Three runs with larger faults, early: 3 s."""
-    faults = [Offset(f.sensor, f.onset / 50, 5 * f.magnitude) for f in FAULTS[:1]] + [FAULTS[2]._replace(onset=1.0)]
+    faults = [PublishedOffset(f.sensor, f.onset / 50, 5 * f.magnitude) for f in FAULTS[:1]] + [FAULTS[2]._replace(onset=1.0)]
     detector = virtual_sensors(0.03, variant, "corners")
     healthy = recording(0.03, 300, (0, 1, 2))
     y = offsets(detector.plant, healthy.t, healthy.y, faults)
@@ -89,7 +89,7 @@ def test_the_arrays_of_a_run() -> None:
 def test_an_undetected_fault_counts_as_an_error_of_100_percent() -> None:
     detector = virtual_sensors(0.03, GUARANTEED, "corners")
     healthy = recording(0.03, 40, (0, 1, 2))
-    unseen = [Offset("S(2){3}", 0.1, 1.0)]
+    unseen = [PublishedOffset("S(2){3}", 0.1, 1.0)]
     y = offsets(detector.plant, healthy.t, healthy.y, unseen)
     found = follow(detector, healthy.t, y, healthy.u, healthy.signal, unseen, (0.2,))
     assert np.isinf(found["first"]).all() and found["mape"].tolist() == [[100.0]] * 3

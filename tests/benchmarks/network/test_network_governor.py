@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fusion_sfdia.benchmarks.network.support.trials import ALPHA, BOUND, LAM, Watch, deterministic_thresholds, trial
+from fusion_sfdia.benchmarks.network.support.trials import ALPHA, BOUND, LAM, WatchedRuns, deterministic_thresholds, trial
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import network_model
 from fusion_sfdia.models.power_network.operation import Switch
@@ -38,7 +38,7 @@ def test_a_run_depends_on_its_own_seed_only() -> None:
 
 def test_an_area_is_unplugged_at_the_step_after_its_detection() -> None:
     model, leaves = network_model(noise="small"), [Switch(50.0, unplug=("4",))]
-    watch = Watch("4", 35.0, "corrected")
+    watch = WatchedRuns("4", 35.0, "corrected")
     kept, gone = (trial(model, watch, 60, [0], loads="1", faults=[], switches=s) for s in ((), leaves))
     for name in ("residual", "angles"):
         assert np.array_equal(kept[name][:50], gone[name][:50])

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fusion_sfdia.benchmarks.network.support.trials import ALPHA, Watch, trial
+from fusion_sfdia.benchmarks.network.support.trials import ALPHA, WatchedRuns, trial
 from fusion_sfdia.models.power_network.accommodation import Compensated
 from fusion_sfdia.models.power_network.control import generation_control
 from fusion_sfdia.models.power_network.model import network_model
@@ -16,7 +16,7 @@ from fusion_sfdia.models.power_network.published import ATTACKS, SIGN_FLIP
 
 def flipped(**changes: Any) -> dict[str, Any]:
     watch = {"area": "5", "onset": 45.0, "mode": "corrected", "hypotheses": ATTACKS} | changes
-    return trial(network_model(noise="small"), Watch(**watch), 75, range(6), loads="2", faults=[SIGN_FLIP.fault])
+    return trial(network_model(noise="small"), WatchedRuns(**watch), 75, range(6), loads="2", faults=[SIGN_FLIP.fault])
 
 
 def test_a_sign_flip_is_detected_isolated_and_compensated() -> None:

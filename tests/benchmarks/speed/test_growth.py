@@ -12,7 +12,7 @@ import pytest
 
 from fusion_sfdia.benchmarks.speed import growth
 from fusion_sfdia.benchmarks.speed.support import counting
-from fusion_sfdia.benchmarks.speed.support.counting import Work, counted
+from fusion_sfdia.benchmarks.speed.support.counting import CallWork, counted
 from fusion_sfdia.report.results import Row
 
 TOY = """
@@ -80,9 +80,9 @@ def exponents() -> dict[tuple[str, str], list[Row]]:
 
 @pytest.mark.long
 @pytest.mark.parametrize("case", growth.CASES, ids=lambda c: f"{c.detector} {c.quantity}")
-def test_the_work_grows_as_its_algebra_does(case: growth.Case, exponents: dict[tuple[str, str], list[Row]]) -> None:
+def test_the_work_grows_as_its_algebra_does(case: growth.Workload, exponents: dict[tuple[str, str], list[Row]]) -> None:
     rows = exponents[case.detector, case.quantity]
-    assert [r.condition for r in rows] == list(Work._fields)
+    assert [r.condition for r in rows] == list(CallWork._fields)
     assert not growth.excessive(rows)
     operations = next(r.value for r in rows if r.condition == "operations")
     assert operations + 1 > case.expected.operations + growth.ABOVE  # one more power would show
@@ -118,7 +118,7 @@ def test_what_is_counted(tmp_path: Path) -> None:
         (package / f"{name}.py").write_text(text)
     start = f"import sys; sys.path[:0] = {[str(tmp_path), *sys.path]!r}\n"
     done = subprocess.run([sys.executable, "-c", start + COUNT], stdout=subprocess.PIPE, check=True)
-    found = {name: [Work(*w) for w in counts] for name, counts in json.loads(done.stdout).items()}
+    found = {name: [CallWork(*w) for w in counts] for name, counts in json.loads(done.stdout).items()}
     n = np.array([20, 40, 80])
 
     def exponent(name: str, what: str) -> float:

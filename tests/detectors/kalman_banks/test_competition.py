@@ -15,8 +15,8 @@ from fusion_sfdia.detectors.kalman_banks.competition import (
     ABSORBED,
     LEAST_WEIGHT,
     PRIOR,
+    ChiSquareLimits,
     Evidence,
-    Limits,
     Present,
     absorbed_before,
     accepted,
@@ -33,7 +33,9 @@ from fusion_sfdia.detectors.kalman_banks.likelihood_window import Best
 
 Array = NDArray[Any]
 NOTHING = -np.inf
-LIMITS = Limits(one=12.0, window=15.0, process=20.0, sensor_margin=np.array(3.0), process_margin=10.0, smallest=np.array(0.5))
+LIMITS = ChiSquareLimits(
+    one=12.0, window=15.0, process=20.0, sensor_margin=np.array(3.0), process_margin=10.0, smallest=np.array(0.5)
+)
 
 
 def evidence(sensor: Any, process: Any, one_sample: Any = None, statistic: float = 100.0) -> Evidence:

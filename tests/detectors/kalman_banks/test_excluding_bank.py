@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from toy_plants import chain, changed
 
 from fusion_sfdia.detectors.exclusion import Exclusion, none_excluded
-from fusion_sfdia.detectors.kalman_banks.excluding_bank import SensorTests, Update
+from fusion_sfdia.detectors.kalman_banks.excluding_bank import ExclusionUpdate, SensorTests
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import statistics
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.filters import ekf
@@ -42,7 +42,7 @@ def conclude(
     bank = LeaveOneOutBank(PLANT, false_alarm=FALSE_ALARM, **settings)
     joint = ekf.joint(X, p, lambda s: s @ H.T, H, PLANT.sensor_cov)
     prior = Prior((), np.array(True), np.array(lost))
-    update = Update(X, p, prior, joint, statistics(joint, y, tested.usable))
+    update = ExclusionUpdate(X, p, prior, joint, statistics(joint, y, tested.usable))
     return bank._conclude(SimpleNamespace(t=1.0), y, np.zeros(0), exclusion, update, tested)
 
 
@@ -123,7 +123,9 @@ def test_expected_readings_are_those_of_the_model_that_the_filter_estimates() ->
     """By default the plant; a bank on an augmented plant states that one."""
     assert LeaveOneOutBank(PLANT).model is PLANT
     joint = ekf.joint(X, P, lambda s: s @ H.T, H, PLANT.sensor_cov)
-    update = Update(X, P, Prior((), np.array(True), np.array(False)), joint, statistics(joint, READINGS, TESTED.usable))
+    update = ExclusionUpdate(
+        X, P, Prior((), np.array(True), np.array(False)), joint, statistics(joint, READINGS, TESTED.usable)
+    )
     now, found = SimpleNamespace(t=1.0), {}
     for bank in (LeaveOneOutBank(PLANT), OnAnother(PLANT)):
         _, found[type(bank)] = bank._conclude(now, READINGS, np.zeros(0), out(1), update, TESTED)

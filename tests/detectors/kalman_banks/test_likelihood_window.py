@@ -22,7 +22,7 @@ from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBa
 from fusion_sfdia.detectors.kalman_banks.likelihood_window import (
     LEAST_INFORMATION,
     Best,
-    Grid,
+    OnsetGrid,
     Weighed,
     Window,
     absorbed,
@@ -345,7 +345,7 @@ def differing(hypothesis: tuple[str, int], onset: int, steps: int) -> tuple[Arra
 
 
 def stepped(
-    y: Array, grid: Grid, slow: bool, restart: Sequence[int] = (), leading: int | None = None
+    y: Array, grid: OnsetGrid, slow: bool, restart: Sequence[int] = (), leading: int | None = None
 ) -> list[tuple[Weighed, Window, Best]]:
     """The window along the filter of MODEL on readings y (K, B, N), by step; after the steps `restart` it starts again."""
     filtering, batch, draws = Extended(), y.shape[1:2], np.random.default_rng(0)
@@ -374,11 +374,12 @@ def stepped(
 
 
 @pytest.mark.parametrize(
-    ("grid", "slow"), [(Grid(5), False), (Grid.spanning(16), False), (Grid(5), True), (Grid.spanning(32, 2), True)],
+    ("grid", "slow"),
+    [(OnsetGrid(5), False), (OnsetGrid.spanning(16), False), (OnsetGrid(5), True), (OnsetGrid.spanning(32, 2), True)],
     ids=["recent-dense", "recent-sparse", "slow-dense", "slow-sparse"],
 )  # fmt: skip
 @pytest.mark.parametrize("restart", [0, 15], ids=["once", "restart"])
-def test_every_hypothesis_is_the_filter_on_a_plant_of_which_it_is_true(grid: Grid, slow: bool, restart: int) -> None:
+def test_every_hypothesis_is_the_filter_on_a_plant_of_which_it_is_true(grid: OnsetGrid, slow: bool, restart: int) -> None:
     """eta and M are those of the unit hypothesis alone through the same filter with the same gaps; a and b follow."""
     rng = np.random.default_rng(20)
     y = rng.standard_normal((LONG, 1, SENSORS)) * 3.0
@@ -424,7 +425,7 @@ def test_every_hypothesis_is_the_filter_on_a_plant_of_which_it_is_true(grid: Gri
 
 def test_a_run_whose_window_starts_again_changes_no_other() -> None:
     y = np.random.default_rng(21).standard_normal((20, 2, SENSORS))
-    weighed, found, _ = stepped(y, Grid(4), False)[-1]
+    weighed, found, _ = stepped(y, OnsetGrid(4), False)[-1]
     one = updated(weighed, np.array([True, False]))
     for after, before in zip(one, found, strict=True):
         assert not np.any(after[0]) and np.any(before[0])
@@ -445,11 +446,19 @@ def test_the_change_of_the_innovation() -> None:
     np.testing.assert_allclose(part, (direct - H[:, None] @ eta)[:, 1:2, :, 4:], rtol=0, atol=allowed)
 
 
-GRIDS = [Grid(1), Grid(7), Grid(4, 3), Grid(6, 4, 3), Grid.spanning(32), Grid.spanning(256, 4), Grid.spanning(100, 3, 8)]
+GRIDS = [
+    OnsetGrid(1),
+    OnsetGrid(7),
+    OnsetGrid(4, 3),
+    OnsetGrid(6, 4, 3),
+    OnsetGrid.spanning(32),
+    OnsetGrid.spanning(256, 4),
+    OnsetGrid.spanning(100, 3, 8),
+]
 
 
 @pytest.mark.parametrize("grid", GRIDS, ids=str)
-def test_an_onset_that_is_kept_is_new_or_was_kept_before(grid: Grid) -> None:
+def test_an_onset_that_is_kept_is_new_or_was_kept_before(grid: OnsetGrid) -> None:
     """So each step needs the sums of the step before alone; the count is constant and the slots are those of `moves`."""
     for step in range(1, 600):
         now, before = grid.onsets(step), grid.onsets(step - 1)
@@ -468,7 +477,7 @@ def test_an_onset_that_is_kept_is_new_or_was_kept_before(grid: Grid) -> None:
 def test_a_grid_spans_the_samples_it_states_at_steps_that_grow_with_their_distance(
     samples: int, finest: int, latest: int
 ) -> None:
-    grid = Grid.spanning(samples, finest, latest)
+    grid = OnsetGrid.spanning(samples, finest, latest)
     coarsest = finest * 2 ** (grid.levels - 1)
     assert samples <= latest * coarsest and (grid.levels == 1 or latest * coarsest < 2 * samples)
     for step in range(1, 300):
@@ -482,7 +491,7 @@ def test_readings_that_are_more_add_their_product_with_the_change_of_the_innovat
     """a = sum M' u is linear in the whitened readings."""
     rng = np.random.default_rng(25)
     for slow in (False, True):
-        weighed, *_ = stepped(rng.standard_normal((12, 2, SENSORS)), Grid(5), slow)[-1]
+        weighed, *_ = stepped(rng.standard_normal((12, 2, SENSORS)), OnsetGrid(5), slow)[-1]
         more = rng.standard_normal((2, SENSORS))
         expected = weighed.a + np.einsum("blnq,bn->blq", weighed.M, more)
         near = rounding(1.0, 4 * (SENSORS + len(MODEL.states))) * np.abs(weighed.M).max() * np.abs(weighed.eta).max()
@@ -491,7 +500,7 @@ def test_readings_that_are_more_add_their_product_with_the_change_of_the_innovat
 
 def test_onsets_before_the_start_are_the_start() -> None:
     y = np.random.default_rng(24).standard_normal((3, 1, SENSORS))
-    window, *_ = stepped(y, Grid(6), False)[-1]
+    window, *_ = stepped(y, OnsetGrid(6), False)[-1]
     np.testing.assert_array_equal(window.age[0], [1, 2, 3, 3, 3, 3])
     for sums in (window.a[0], window.b[0], window.eta[0]):
         np.testing.assert_array_equal(sums[3:], sums[[2, 2, 2]])

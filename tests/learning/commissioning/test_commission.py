@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.learning.commissioning.commission import commission, commissioned
-from fusion_sfdia.learning.commissioning.disturbances import Found, with_disturbance
+from fusion_sfdia.learning.commissioning.disturbances import FoundDisturbance, with_disturbance
 from fusion_sfdia.learning.commissioning.refusals import require_moving
 from fusion_sfdia.models.two_tanks.plant import two_tanks
 from fusion_sfdia.plant.log import Log
@@ -90,7 +90,7 @@ def test_a_learnt_disturbance_is_named_after_the_sensors_it_moves_most() -> None
     none = np.empty((0, 0))
     plant = bare()
     for state, reading in (([0.0, 1e-3], [0.0] * 4), ([0.0, 0.0], [0.0, 0.0, 1e-5, 0.0])):
-        plant = with_disturbance(plant, Found(np.array(state), np.array(reading), none, none, 0.0, 1.0, 100.0, 1.0))
+        plant = with_disturbance(plant, FoundDisturbance(np.array(state), np.array(reading), none, none, 0.0, 1.0, 100.0, 1.0))
     names = [d.name for d in plant.uncertainty.disturbances]
     assert names == ["learnt disturbance 1 (l2, q2)", "learnt disturbance 2 (q12)"]
 

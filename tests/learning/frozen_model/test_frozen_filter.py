@@ -11,7 +11,7 @@ from toy_plants import tanks
 
 from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.learning.commissioning.innovations import filtered, held
-from fusion_sfdia.learning.frozen_model.frozen_filter import FRESH, FrozenFilter, Row, Tracked
+from fusion_sfdia.learning.frozen_model.frozen_filter import FRESH, FrozenFilter, FrozenRow, Tracked
 from fusion_sfdia.plant.log import Log
 
 Array = NDArray[Any]
@@ -26,7 +26,7 @@ def log() -> Log:
     return Log(found.t, found.y, found.u_of_runs)
 
 
-def rows(values: Array, readings: Log, **settings: Any) -> tuple[list[Row], Tracked]:
+def rows(values: Array, readings: Log, **settings: Any) -> tuple[list[FrozenRow], Tracked]:
     filter_ = FrozenFilter(PLANT, values, **settings)
     now, found, before = filter_.start((1,)), [], float(readings.t[0]) - PLANT.dt
     for t, y, u in zip(readings.t.tolist(), readings.y, readings.u, strict=True):

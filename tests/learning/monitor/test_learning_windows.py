@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from fusion_sfdia.learning.monitor.windows import (
-    Moments,
+    WindowSums,
     completed,
     errors,
     filled,
@@ -88,7 +88,7 @@ def test_a_mean_needs_half_of_the_rows_of_its_window_and_has_the_same_bits_in_an
 def test_moments_add_up_and_incomplete_rows_count_by_conditional_means(covariance: Array) -> None:
     rng = np.random.default_rng(4)
     x = rng.multivariate_normal(np.zeros(2 * N), covariance, 4000) + 3.0
-    both = Moments.together([Moments.of(x[:1500]), Moments.of(x[1500:])])
+    both = WindowSums.together([WindowSums.of(x[:1500]), WindowSums.of(x[1500:])])
     assert both.covariance(centred=True) == pytest.approx(np.cov(x.T, bias=True), abs=1e-9)
     assert both.mean == pytest.approx(x.mean(axis=0))
     x = x - 3.0
@@ -97,5 +97,5 @@ def test_moments_add_up_and_incomplete_rows_count_by_conditional_means(covarianc
     full = filled(gaps, 1e-6)
     # conditional means lack the conditional variance: at most that of the tenth of the entries that is missing
     full = full[np.isfinite(full).all(axis=1)]
-    assert len(full) > 3900 and np.diag(Moments.of(full).covariance()) == pytest.approx(np.diag(covariance), rel=0.15)
+    assert len(full) > 3900 and np.diag(WindowSums.of(full).covariance()) == pytest.approx(np.diag(covariance), rel=0.15)
     assert precision_of(covariance, 1.0) == pytest.approx(np.linalg.inv(covariance + np.eye(2 * N)))

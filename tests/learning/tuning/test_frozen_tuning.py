@@ -14,7 +14,7 @@ from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors.detector import run
 from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.learning.frozen_model.frozen_bank import FrozenBank
-from fusion_sfdia.learning.tuning.tune import Source, tune
+from fusion_sfdia.learning.tuning.tune import HealthySource, tune
 from fusion_sfdia.learning.tuning.tuned import Tuned
 from fusion_sfdia.learning.tuning.words import as_text
 from fusion_sfdia.plant.log import Log
@@ -52,13 +52,13 @@ def test_what_is_not_healthy_is_left_out_and_listed_on_the_wall_clock() -> None:
     y[1000:1200, 1] = y[1000, 1]
     y[300:340] += 60 * PLANT.sensor_sigma
     clock = Clock(datetime(2023, 11, 14, 22, 13, tzinfo=UTC))
-    found = tune(PLANT, log._replace(y=y), detector=NAME, sources=[Source("day.csv", clock)])
+    found = tune(PLANT, log._replace(y=y), detector=NAME, sources=[HealthySource("day.csv", clock)])
     out = [r for r in found.quality["remarks"] if r.startswith("left out: ")]
     assert len(out) == 2
     assert f"{PLANT.sensor_names[1]} from {clock.at(float(log.t[1000]))} to {clock.at(float(log.t[1199]))}" in out[0]
     assert "all readings from 2023-" in out[1] and "as far off" in out[1]
     with pytest.raises(ValueError, match=r"readings that are not healthy: .*the same reading 200 times; all readings from"):
-        tune(PLANT, log._replace(y=y), detector=NAME, sources=[Source("day.csv", clock)], strict=True)
+        tune(PLANT, log._replace(y=y), detector=NAME, sources=[HealthySource("day.csv", clock)], strict=True)
     assert not any(r.startswith("left out") for r in tuned().quality["remarks"])
 
 

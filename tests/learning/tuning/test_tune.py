@@ -22,7 +22,7 @@ from fusion_sfdia.detectors.detector import run
 from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.learning.tuning.response import ModelChangedWarning
 from fusion_sfdia.learning.tuning.tail import counted
-from fusion_sfdia.learning.tuning.tune import Source, tune
+from fusion_sfdia.learning.tuning.tune import HealthySource, tune
 from fusion_sfdia.learning.tuning.tuned import Tuned
 from fusion_sfdia.learning.tuning.words import as_text
 from fusion_sfdia.plant.log import Log
@@ -189,7 +189,10 @@ def test_times_in_a_log_with_a_gap_are_those_of_its_clock() -> None:
     y = one.y.copy()
     y[180:240, 0] = y[180, 0]
     log = Log(np.where(np.arange(STEPS) < 100, one.t, one.t + 1000), y, one.u)
-    sources = [Source("january.csv", Clock(datetime(2026, 1, 1))), Source("july.csv", Clock(datetime(2026, 7, 1)))]
+    sources = [
+        HealthySource("january.csv", Clock(datetime(2026, 1, 1))),
+        HealthySource("july.csv", Clock(datetime(2026, 7, 1))),
+    ]
     frozen = f"until {datetime(2026, 7, 1) + timedelta(seconds=log.t[239])}"
     with pytest.raises(ValueError, match=f"'s0' shows the same reading 60 times .*, {frozen}: it is frozen"):
         tune(PLANT, log, false_alarm=RATE, sources=sources[1:], detector="robust-glr")

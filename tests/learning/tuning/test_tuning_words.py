@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 from toy_plants import chain
 
-from fusion_sfdia.learning.commissioning.disturbances import Found, moves
+from fusion_sfdia.learning.commissioning.disturbances import FoundDisturbance, moves
 from fusion_sfdia.learning.tuning.words import _learnt
 
 
 def test_a_disturbance_is_told_by_the_signals_that_it_moves_most() -> None:
     """Over their noise: a state of 0.1 a step, a sensor of 1; what is not moved is not named."""
     none = np.empty((0, 0))
-    found = Found(np.array([0.0, 0.05, 0.0]), np.array([-1.0, 0.0, 0.0]), none, none, 4.0, 0.2, 50.0, 1.0)
+    found = FoundDisturbance(np.array([0.0, 0.05, 0.0]), np.array([-1.0, 0.0, 0.0]), none, none, 4.0, 0.2, 50.0, 1.0)
     plain = chain(3)
     plant = replace(plain, sensors=(replace(plain.sensors[0], unit="K"), *plain.sensors[1:]))
     assert moves(plant, found) == "s0 by -4 +- 0.2 K, x1 by 0.2 +- 0.01 a step"

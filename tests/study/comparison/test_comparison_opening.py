@@ -10,14 +10,14 @@ from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.study.comparison.chapters import extremes
 from fusion_sfdia.study.comparison.conclusions import MOST_LISTED, false_isolations
 from fusion_sfdia.study.comparison.opening import advised, decided, opening, percent
-from fusion_sfdia.study.comparison.ranking import Standing
+from fusion_sfdia.study.comparison.ranking import RankedDetector
 from fusion_sfdia.study.comparison.result_tables import EVERY, choices_table
 
 NONE = np.zeros((12, 2), int)
 
 
-def standings(**ranks: int) -> dict[str, Standing]:
-    return {name.replace("_", "-"): Standing(Estimate(0.5, 0.4, 0.6, 8), rank) for name, rank in ranks.items()}
+def standings(**ranks: int) -> dict[str, RankedDetector]:
+    return {name.replace("_", "-"): RankedDetector(Estimate(0.5, 0.4, 0.6, 8), rank) for name, rank in ranks.items()}
 
 
 def test_the_advice_names_the_detector_its_faults_and_the_more_robust_one() -> None:

@@ -8,7 +8,7 @@ from made_up_cell import SETTINGS_HERE, cell
 from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.study.comparison import result_tables as tables
-from fusion_sfdia.study.comparison.ranking import Standing
+from fusion_sfdia.study.comparison.ranking import RankedDetector
 
 
 def test_the_choice_is_by_exact_isolation_and_by_robustness() -> None:
@@ -77,15 +77,15 @@ def test_published_numbers_stand_beside_ours() -> None:
     assert {len(r) for r in found.rows} == {len(found.header)}
 
 
-def standing(value: float, rank: int) -> Standing:
-    return Standing(Estimate(value, value - 0.1, value + 0.1, 6), rank)
+def standing(value: float, rank: int) -> RankedDetector:
+    return RankedDetector(Estimate(value, value - 0.1, value + 0.1, 6), rank)
 
 
 def test_ranks_are_in_the_order_of_their_sum() -> None:
     criteria = {
         "detection": {"a": standing(0.4, 2), "b": standing(0.9, 1)},
         "isolation": {"a": standing(0.3, 2), "b": standing(0.3, 2)},
-        "accommodation": {name: Standing(Estimate(np.nan, np.nan, np.nan, 0), 1) for name in "ab"},
+        "accommodation": {name: RankedDetector(Estimate(np.nan, np.nan, np.nan, 0), 1) for name in "ab"},
     }
     found = tables.ranks_table("all plants", criteria)
     assert found.header == ("detector", "detection: rank", "mean of detection", "isolation: rank", "mean of isolation")
