@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from fusion_sfdia.detectors import registry
-from fusion_sfdia.diagnosis.diagnose import diagnose_run
+from fusion_sfdia.diagnosis.diagnose import SECONDS
+from fusion_sfdia.diagnosis.prepared import prepared
 from fusion_sfdia.learning.identification.whiteness import WhitenessTest, whiteness
 from fusion_sfdia.learning.inspection.plant_findings import REMARK, PlantFinding
+from fusion_sfdia.logs.loaded_log import LoadedLog
 from fusion_sfdia.plant.augment import fixed
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
@@ -31,7 +34,8 @@ class OnHealthy(NamedTuple):
 def on_healthy(plant: Plant, log: Log, detector: registry.NamedDetector) -> OnHealthy:
     """Examine a healthy log of one run, with the disturbances that the plant states; ValueError where it is too short."""
     plant = fixed(plant)
-    found = diagnose_run(registry.detector(detector, plant), log)
+    build = partial(registry.detector, detector)
+    found, _ = prepared(build(plant), LoadedLog(log, SECONDS, ()), build).diagnose()
     return OnHealthy(len(log.t), whiteness(plant, log), detector.name, tuple(map(str, found.events)))
 
 
