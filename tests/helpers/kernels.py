@@ -30,7 +30,7 @@ NOT_NUMERICAL = (
     "test_architecture.py", "test_diagnose.py", "test_engine_virtual_sensors.py", "test_entrances.py", "test_entry_points.py",
     "test_events.py",
     "test_files.py", "test_kind_trials.py", "test_lag.py", "test_nomenclature.py", "test_notebooks.py", "test_package.py",
-    "test_project_files.py", "test_readme.py",
+    "test_project_files.py", "test_readme.py", "test_real_logs_scores.py",
     "test_references.py", "test_registry.py", "test_results_pages.py", "test_site.py",
     "test_site_examples.py", "test_storage.py",
     "test_valve_log.py",
