@@ -1,4 +1,4 @@
-"""Writes real-logs.csv and real-logs.md: python docs/results/real_logs.py [FOLDER]
+"""Writes real-logs.csv, real-logs.md and real-logs.svg: python docs/results/real_logs.py [FOLDER]
 
 FOLDER holds recordings of others, tep_braatz, herbert and logan_river, which are no part of this project. Without it the
 page is written again from real-logs.csv. About ten minutes on one core.
@@ -17,7 +17,7 @@ import numpy as np
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
 
-NUMBERS, PAGE = HERE / "real-logs.csv", HERE / "real-logs.md"
+NUMBERS, PAGE, FIGURE = (HERE / f"real-logs.{kind}" for kind in ("csv", "md", "svg"))
 COLUMNS = ("set", "method", "kind", "metric", "value")
 PROMISED = 0.01  # share of healthy rows in alarm
 ALL = "all"
@@ -102,12 +102,14 @@ def load() -> Cells:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Measure, where a folder is given, and write the page."""
+    """Measure, where a folder is given, and write the page and its figure."""
     if arguments:
         write(measured(Path(arguments[0])))
+    from real_logs_figure import svg
     from real_logs_page import render
 
     PAGE.write_text(render(load()), encoding="utf-8")
+    FIGURE.write_text(svg(load()), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from textwrap import fill
 
 from comparison import table
 
@@ -12,19 +13,26 @@ PROMISED = 0.01
 ALL, MONITOR = "all", "monitor"
 SHARES = ("found", "named right", "named wrong", "undecided")
 ALONE = "nothing else measures it"
+WIDTH = 126
 TWICE = 2.0  # of the promised rate: what exceeds it is marked
 
 ABOUT = """# Recorded and simulated logs, without a model
 
 How `Monitor`, which learns from healthy logs without a model, does on recordings of others whose faults somebody has
 labelled, and on simulated plants, beside the usual ways to watch readings without a model. `python docs/results/real_logs.py
-FOLDER` measures, with the recordings in FOLDER. Settings are fixed
-from the healthy logs alone, and unfavourable results stay. The recordings are no fresh judges of `Monitor`, though: its rules
-were made with them in view, one of them on d05 (`causes.SMALL`).
+FOLDER` measures, with the recordings in FOLDER. Settings are fixed from the healthy logs alone, and unfavourable results
+stay. After a first look `dynamic-pca` was added, `pca` got the noise as its unit, ten instead of three logs of the simulated
+plants count false alarms, and longer ones are learnt as well; `Monitor` was not touched. The recordings are no fresh judges
+of it, though: its rules were made with them in view, one of them on d05 (`causes.SMALL`).
 
 ## What follows
 
 {findings}
+
+![Events named right against healthy rows in alarm, for each set and method](real-logs.svg)
+
+Upper left is best. Share of the events in which the right sensor is named against the share of healthy rows in alarm; the
+line is the rate that was promised to all.
 
 ## How it was measured
 
@@ -37,6 +45,7 @@ were made with them in view, one of them on d05 (`causes.SMALL`).
   rows its sensor is named, and no sensor without a label; *named wrong* where a sensor without a label is named in more rows
   than that; *undecided* where neither holds and the method is in alarm, or says "outside what was learnt". The rest is
   missed. Two rows after an event belong to it. "Outside" is no alarm, but finds a fault of the process.
+- **Doubt**: the standard error of a share is at most 0.05 of 108 events and 0.08 of 36; four faults of the process are few.
 - **Delay**: median time to the first alarm of the events that were found.
 - **Healthy rows** are those without a label in any sensor, and not within 32 rows after one. An alarm that names only sensors
   without a reading does not count, neither as found nor as false: labels are given to readings. Alarms fewer than 16 rows
@@ -47,14 +56,15 @@ were made with them in view, one of them on d05 (`causes.SMALL`).
 |---|---|---|
 | `monitor` | `Monitor`: leave-one-out residuals of means over 1 to 1024 rows, and a test of operation not learnt | as it is |
 | `pca` | the library's principal components of sensors and inputs: T2, Q (SPE), contributions, reconstruction | its own edge |
+| `dynamic-pca` | the same on three rows at a time | its own edge |
 | `isolation forest` | scikit-learn's, 200 trees, on readings and their changes; names no sensor | as it is |
 | `median of others` | each sensor less the median of those that measure alike, if any: Shewhart and EWMA chart | none |
 | `ridge on others` | each sensor less its ridge regression on all other columns, the same charts | ridge by the blocks |
 | `limits-ewma` | the library's limits of level, change and EWMA of each reading, and a test of repeated readings | as it is |
 | `vector autoregression` | one-step prediction residuals of 1 to 3 lags and the inputs, the same charts | both by the blocks |
 
-Columns that lack 70 % of the healthy readings (`pca`: 30 %) or never move are left out; skewed ones are taken as logarithms.
-Baselines with charts name the sensor with the largest ratio to its limit.
+Columns that lack 70 % of the healthy readings (`pca`, `dynamic-pca`: 30 %) or never move are left out; skewed ones are taken
+as logarithms. Baselines with charts name the sensor with the largest ratio to its limit.
 
 ## The data
 
@@ -178,9 +188,36 @@ def undiagnosable(cells: Cells) -> str:
         alone = [key[2] for key in own if key[3] == ALONE]
         out = [(key[2], key[3], cells[key]) for key in own if "healthy" in key[3]]
         count = cells[of, "", ALL, "sensors"]
-        left = "; ".join(f"{name} {why}" + (f" ({n:.0f} events)" if n else "") for name, why, n in out)
+        short = [(name, why.replace(" of its readings in the healthy logs", ""), n) for name, why, n in out]
+        left = "; ".join(f"{name} {why}" + (f" ({n:.0f} events)" if n else "") for name, why, n in short)
         lines.append((of, f"{len(alone)} of {count - len(out):.0f}", left or "none"))
     return table(("set", "sensors that no other measures", "sensors left out, why, and events of theirs"), lines)
+
+
+def sentence(cells: Cells, of: str) -> str:
+    """How `monitor` stands on a set beside the best baseline, and the best of those that held the rate."""
+    methods = [m for m in methods_in(cells, of) if m != MONITOR]
+    what = "found" if not any(cells[of, m, ALL, "named right"] for m in (MONITOR, *methods)) else "named right"
+
+    def shown(m: str) -> str:
+        values = (cells[of, m, ALL, one] for one in (what, "named wrong", "alarm"))
+        return f"`{m}` {what} {next(values):.2f}, named wrong {next(values):.2f}, in alarm {next(values):.3f}"
+
+    best = max(methods, key=lambda m: cells[of, m, ALL, what])
+    held = [m for m in methods if cells[of, m, ALL, "alarm"] <= TWICE * PROMISED]
+    gain = cells[of, MONITOR, ALL, what] - cells[of, best, ALL, what]
+    verdict = (
+        "loses to the best baseline" if gain < 0 else "is before all baselines" if gain > 0 else "equals the best baseline"
+    )
+    text = f"- **{of[0].upper()}{of[1:]}** ({cells[of, '', ALL, 'events']:.0f} events): `monitor` {verdict}. "
+    text += f"{shown(MONITOR)}; {shown(best)}"
+    if held and best not in held:
+        kept = max(held, key=lambda m: cells[of, m, ALL, what])
+        text += f"; best of the baselines that held twice the promised rate: {shown(kept)}"
+    if what == "found":
+        quiet = [f"`{m}`" for m in methods_in(cells, of) if not cells[of, m, ALL, "named wrong"]]
+        text += f". No sensor is named by {listed(quiet)}"
+    return text + "."
 
 
 def findings(cells: Cells) -> str:
@@ -191,20 +228,39 @@ def findings(cells: Cells) -> str:
     kept = {m: sum(cells[of, m, ALL, "alarm"] <= TWICE * PROMISED for of in of_m) for m, of_m in held.items()}
     counts = listed([f"`{m}` {kept[m]} of {len(held[m])}" for m in held])
     lines.append(f"- **Rates.** Sets on which at most twice the promised rate was held: {counts}.")
-    for of in with_events(cells):
-        methods = methods_in(cells, of)
-        others = [m for m in methods if m != MONITOR]
-        what = "found" if not any(cells[of, m, ALL, "named right"] for m in methods) else "named right"
-        own, wrong = cells[of, MONITOR, ALL, what], cells[of, MONITOR, ALL, "named wrong"]
-        best = max(others, key=lambda m: cells[of, m, ALL, what])
-        theirs, at = cells[of, best, ALL, what], cells[of, best, ALL, "alarm"]
-        behind = "`monitor` loses to" if theirs > own else "`monitor` is before" if theirs < own else "`monitor` equals"
-        lines.append(
-            f"- **{of[0].upper()}{of[1:]}** ({cells[of, '', ALL, 'events']:.0f} events): {behind} `{best}`, {own:.2f} against "
-            f"{theirs:.2f} {what}; named wrong {wrong:.2f} against {cells[of, best, ALL, 'named wrong']:.2f}, healthy rows in "
-            f"alarm {cells[of, MONITOR, ALL, 'alarm']:.3f} against {at:.3f}."
-        )
-    return "\n".join(lines)
+    stated = [(of, cells.get((of, MONITOR, ALL, "stated high"), float("nan"))) for of in sets]
+    above = [f"{of} ({cells[of, MONITOR, ALL, 'alarm']:.3f})" for of, high in stated if cells[of, MONITOR, ALL, "alarm"] > high]
+    if above:
+        lines.append(f"- The rate of `monitor` is above the interval that it states itself on: {listed(above)}.")
+    lines += [sentence(cells, of) for of in with_events(cells)]
+    return "\n".join(fill(line, WIDTH, subsequent_indent="  ", break_on_hyphens=False) for line in lines)
+
+
+NOTES = {
+    "chemical plant": (
+        "The 500 healthy rows of d00 are few: order statistics of them do not hold on d00_te, and what most baselines "
+        "find there they find at several times the promised rate."
+    ),
+    "chemical plant, process faults": ("No sensor is at fault: whatever is named is wrong, and undecided is right."),
+    "Logan river, fortnights in turn": (
+        "Most labels are of readings far off and of stretches withdrawn: limits of each reading by itself see these and "
+        "name their sensor. `monitor` looks for one sensor that explains a row: where it is undecided other sensors are "
+        "nearly always labelled in the same rows."
+    ),
+    "Logan river, faults put in": (
+        "Rows out of which labelled readings were taken count as healthy here; the set above leaves them out. What "
+        "`monitor` alarms in beyond the promise is nearly all in one of them, a fortnight in April in which it names the "
+        "dissolved oxygen at Mendon; whether that was healthy is not known."
+    ),
+    "Logan river, later half": (
+        'Summer after winter and spring: `monitor` says "outside what was learnt" in most rows and judges little there, '
+        "as it promises. Limits, which promise nothing of the kind, find the gross faults."
+    ),
+    "Herbert river, fortnights in turn": (
+        "Turbid floods, channels that lack a third of their readings, labels that overlap. Events of channels that "
+        "`monitor` leaves out, below, count as missed: they are most of them."
+    ),
+}
 
 
 def render(cells: Cells) -> str:
@@ -212,14 +268,16 @@ def render(cells: Cells) -> str:
     parts = [ABOUT.format(findings=findings(cells), promised=PROMISED, data=data(cells))]
     parts.append(f"\n## Rate promised against rate held on later data\n\n{RATES}\n\n{promised(cells)}\n")
     for of in with_events(cells):
-        parts.append(f"\n## {of[0].upper()}{of[1:]}\n\n{of_set(cells, of)}\n\n{by_kind(cells, of)}".rstrip("\n") + "\n")
+        note = fill(NOTES[of], WIDTH) + "\n\n" if of in NOTES else ""
+        parts.append(f"\n## {of[0].upper()}{of[1:]}\n\n{note}{of_set(cells, of)}\n\n{by_kind(cells, of)}".rstrip("\n") + "\n")
     parts.append(f"\n## What cannot be diagnosed\n\n{CANNOT}\n\n{undiagnosable(cells)}\n")
     return "".join(parts)
 
 
 RATES = f"""Share of healthy rows in alarm where {PROMISED:g} was promised; bold is above twice that."""
 CANNOT = """Of a sensor that no other measures (others explain less than half of its slow variance) a move may be that of the
-process: `monitor` says "moved: sensor or process", which counts as undecided. A sensor that is left out is not judged by it. Of
-the expert's labels on the Herbert river 11 524 are of levels that have no reading in the file (constant values, impossible):
-only that they are missing can be seen. A slow drift that began before the healthy part, and faults of the process that one
-sensor alone measures, look the same to every method here."""
+process: `monitor` says "moved: sensor or process", which counts as undecided. A sensor that is left out, mostly
+as it misses more than 30 % of its healthy readings, is not judged by it. Of the expert's labels on the Herbert
+river 11 524 are of levels that have no reading in the file (constant values, impossible): only that they are
+missing can be seen. A slow drift that began before the healthy part, and faults of the process that one sensor
+alone measures, look the same to every method here."""
