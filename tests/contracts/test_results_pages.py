@@ -50,6 +50,16 @@ def test_the_page_of_the_kinds_of_faults_is_that_of_its_numbers(folder: Path, mo
     assert sum(right) >= 0.95 * sum(int(row["count"]) for row in found)
 
 
+def test_the_page_of_recorded_logs_is_that_of_its_numbers(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(folder))
+    measured, page = (importlib.import_module(name) for name in ("real_logs", "real_logs_page"))
+    cells = measured.load()
+    assert page.render(cells) == (folder / "real-logs.md").read_text(encoding="utf-8"), "run docs/results/real_logs.py"
+    for of in page.with_events(cells):
+        for method in page.methods_in(cells, of):
+            assert sum(cells[of, method, page.ALL, what] for what in page.SHARES[1:]) <= 1 + 5e-4  # four digits are kept
+
+
 def test_no_number_of_the_papers_has_the_place_of_another(folder: Path) -> None:
     with (folder / "papers.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
