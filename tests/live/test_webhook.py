@@ -151,9 +151,10 @@ def test_no_message_has_a_password_a_token_or_a_path(endpoint: Endpoint) -> None
         ("https://user:pass@host/x", {"token": "t"}, "a user and password, and there is a token"),
         ("http://user:pass@host/x", {}, "without encryption.*use https://"),
         ("http://host/x", {"token": "t"}, "without encryption"),
+        ("https://host/x", {"token": "pass@\n"}, "expected printable ASCII"),
         *(
             (url, {}, "--webhook is no address")
-            for url in ("host", "ftp://a:pass@b", "https://", "https://a:x/pass", "https://a /")
+            for url in ("host", "ftp://a:pass@b", "https://", "https://a:x/pass", "https://a /", "https://a/é")
         ),
     ):
         with pytest.raises(ValueError, match=message) as caught:
