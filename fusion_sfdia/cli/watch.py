@@ -91,6 +91,9 @@ def add_watch(commands: Any) -> None:
     )
     one.add_argument("--webhook", metavar="URL", help="post the line of each change to this address, http:// or https://")
     one.add_argument("--webhook-token", metavar="VARIABLE", help="environment variable with the token of --webhook")
+    one.add_argument(
+        "--alarms", metavar="URL", help="serve alarms and health of sensors over OPC UA there, such as opc.tcp://127.0.0.1:4841"
+    )
     one.add_argument("--metrics", metavar="HOST:PORT", help="serve the status to Prometheus; a port alone: on this machine")
     add_columns(one, "where they are missing")
     one.set_defaults(work=_watch)
@@ -129,7 +132,7 @@ def _watched(chosen: argparse.Namespace, webhook: Webhook | None) -> int:
     from fusion_sfdia.cli.tune import bound_detector
     from fusion_sfdia.live.remarks import Remarks
     from fusion_sfdia.live.saving import SavedWatch
-    from fusion_sfdia.live.security import SCHEMES, address
+    from fusion_sfdia.live.security import SCHEMES, address, remarked_logs
     from fusion_sfdia.live.status import Status, beating, endpoint, served
     from fusion_sfdia.live.watch import Watch
     from fusion_sfdia.logs.log_map import AT_THE_SAMPLE, PLAIN_MAP, load_map
@@ -145,9 +148,9 @@ def _watched(chosen: argparse.Namespace, webhook: Webhook | None) -> int:
             raise ValueError(f"--{one} needs --{other}, which states what a --map states of text; give both or neither")
     if chosen.opcua and chosen.mqtt:
         raise ValueError("--opcua and --mqtt both state where the rows come from; give one")
-    for option in ("opcua", "mqtt"):  # before anything that takes time
+    for option, kind in (("opcua", "opcua"), ("mqtt", "mqtt"), ("alarms", "opcua")):  # before anything that takes time
         if (url := getattr(chosen, option)) is not None:
-            address(f"--{option}", url, SCHEMES[option])
+            address(f"--{option}", url, SCHEMES[kind])
     refused, log_map = Remarks(_say), load_map(chosen.map) if chosen.map else PLAIN_MAP
     settings = {"reorder": chosen.reorder, "keep_last": log_map.duplicates == "last", "refused": refused}
     if chosen.longest_gap is not None:
@@ -179,7 +182,12 @@ def _watched(chosen: argparse.Namespace, webhook: Webhook | None) -> int:
         status.beat()
 
     try:
-        with beating(chosen.status_every, beat), nullcontext() if at is None else served(*at, status):
+        with (
+            remarked_logs(("asyncua", "asyncuagds"), refused),
+            _alarms(chosen, saved),
+            beating(chosen.status_every, beat),
+            nullcontext() if at is None else served(*at, status),
+        ):
             if chosen.opcua:
                 _server(chosen, saved)
             elif chosen.mqtt:
@@ -192,6 +200,12 @@ def _watched(chosen: argparse.Namespace, webhook: Webhook | None) -> int:
         if refused.count:
             _say(f"{refused.count} remarks in all")
     return 0
+
+
+def _alarms(chosen: argparse.Namespace, saved: SavedWatch) -> AbstractContextManager[object]:
+    from fusion_sfdia.live.alarm_server import alarms_served
+
+    return nullcontext() if chosen.alarms is None else alarms_served(chosen.alarms, saved)
 
 
 def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap) -> None:
@@ -224,11 +238,9 @@ def _server(chosen: argparse.Namespace, saved: SavedWatch) -> None:
 
     from fusion_sfdia.live.nodes import load_nodes
     from fusion_sfdia.live.opcua import watch_server
-    from fusion_sfdia.live.security import remarked_logs
 
     nodes = load_nodes(chosen.nodes, saved.watch.detector.plant)
-    with remarked_logs(("asyncua", "asyncuagds"), saved.watch.refused):
-        asyncio.run(watch_server(saved, chosen.opcua, nodes, allow_plain_password=chosen.allow_plain_password))
+    asyncio.run(watch_server(saved, chosen.opcua, nodes, allow_plain_password=chosen.allow_plain_password))
 
 
 def _broker(chosen: argparse.Namespace, saved: SavedWatch) -> None:

@@ -58,7 +58,7 @@ class Change(NamedTuple):
     def device_health(self) -> DeviceHealth | None:
         """The state by NAMUR NE 107 that it means for its sensors while it stands; None where it says nothing of a sensor."""
         if self.event is None:
-            return DeviceHealth.CHECK_FUNCTION if self.what == "blind" else None
+            return DeviceHealth.CHECK_FUNCTION if self.what in ("blind", "sees again") else None
         return health_of(self.event)
 
 
