@@ -102,7 +102,9 @@ from fusion_sfdia.kalman_banks.sequential_rules import Shewhart as Shewhart
 from fusion_sfdia.kalman_banks.sequential_rules import SumOfSquares as SumOfSquares
 from fusion_sfdia.kalman_banks.unknown_input import UnknownInputFilter as UnknownInputFilter
 from fusion_sfdia.learning.monitor import Monitor as Monitor
+from fusion_sfdia.live.changes import Alarm as Alarm
 from fusion_sfdia.live.changes import Change as Change
+from fusion_sfdia.live.device_health import DeviceHealth as DeviceHealth
 from fusion_sfdia.live.watch import Sample as Sample
 from fusion_sfdia.live.watch import Watch as Watch
 from fusion_sfdia.live.watch import WatchWarning as WatchWarning

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnosis_schema import schema
 from toy_plants import readings, tanks
 
 from fusion_sfdia.core.clock import Clock
@@ -54,6 +55,7 @@ def test_an_event_has_a_state_by_its_kind_and_size(found: Event, expected: Devic
 def test_the_numbers_are_those_of_opc_ua_for_devices() -> None:
     names = ("NORMAL", "FAILURE", "CHECK_FUNCTION", "OFF_SPEC", "MAINTENANCE_REQUIRED")
     assert {s.name: s.value for s in DeviceHealth} == dict(zip(names, range(5), strict=True))
+    assert schema()["$defs"]["change"]["properties"]["device_health"]["enum"] == list(names)
 
 
 def test_a_sensor_without_an_event_is_good_where_it_is_judged_and_nothing_speaks_against_it() -> None:
