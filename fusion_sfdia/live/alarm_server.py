@@ -70,11 +70,11 @@ class Condition:
 
 
 class AlarmServer:
-    """The server; everything but the constructor runs in one event loop. say: called with a line about an error."""
+    """The server; everything but the constructor runs in one event loop. clock: of the rows, when it is called."""
 
-    def __init__(self, plant: Plant, url: str, say: Callable[[str], object], clock: Callable[[], Clock]) -> None:
+    def __init__(self, plant: Plant, url: str, clock: Callable[[], Clock]) -> None:
         address("--alarms", url, SCHEMES["opcua"])
-        self.plant, self.url, self.say, self.clock = plant, url, say, clock
+        self.plant, self.url, self.clock = plant, url, clock
         self.ua, self.events = asyncua().ua, import_module("asyncua.common.event_objects")
         self.conditions: dict[str, Condition] = {}  # by cause
         self.health: dict[str, Any] = {}  # nodes by sensor
@@ -154,8 +154,9 @@ class AlarmServer:
 
     async def reported(self, report: Report) -> None:
         """Show the health of the sensors."""
-        for name, state in report.device_health.items():
-            await self.health[name].write_value(int(state), self.ua.VariantType.Int32)
+        async with self.lock:
+            for name, state in report.device_health.items():
+                await self.health[name].write_value(int(state), self.ua.VariantType.Int32)
 
     async def changed(self, change: Change) -> None:
         """Raise, update or end the alarm of a change. One that has become more severe is to be acknowledged again."""
@@ -308,7 +309,7 @@ def alarms_served(url: str, saved: SavedWatch) -> Iterator[AlarmServer]:
     OSError where the address cannot be taken, ValueError where it is none, MissingPackageError without asyncua.
     """
     watch, say = saved.watch, saved.watch.refused
-    found = AlarmServer(watch.detector.plant, url, say, lambda: watch.clock)
+    found = AlarmServer(watch.detector.plant, url, lambda: watch.clock)
     saved.status = saved.status or Status(watch)
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever, daemon=True)

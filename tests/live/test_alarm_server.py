@@ -194,6 +194,8 @@ def test_health_is_a_node_of_each_sensor(served: Served) -> None:
         assert first == [DeviceHealth.CHECK_FUNCTION] * 2 and sorted(later) == [DeviceHealth.NORMAL, DeviceHealth.OFF_SPEC]
         with pytest.raises(ua.UaError, match=r"BadUserAccessDenied|BadNotWritable"):
             await node.write_value(ua.Variant(0, ua.VariantType.Int32))
+        with pytest.raises(ua.UaError, match="BadUserAccessDenied"):
+            await operator.client.nodes.objects.add_object(space, "mine")
 
     served.work(work)
 
