@@ -45,7 +45,6 @@ SEVERITY = {
 }
 KEPT = 100  # ids of events of each alarm, which a client may acknowledge
 UNSHELVED, TIMED, ONE_SHOT = "Unshelved", "TimedShelved", "OneShotShelved"
-Result = Any  # a status code of asyncua, or the outputs of a method
 
 
 @dataclass
@@ -229,20 +228,20 @@ class AlarmServer:
         await condition.generator.trigger(moment.astimezone(UTC), subscription_id=subscription)
         condition.ids.append(event.EventId.Value)
 
-    # --- methods, which clients call with a condition or its shelving as object
+    # --- methods, which clients call with a condition or its shelving as object; they give a status code, or their outputs
 
     def _called(self, at: Any) -> Condition | None:
         return next((c for c in self.conditions.values() if at in (c.node, c.shelving)), None)
 
-    async def acknowledge(self, at: Any, event_id: Any, comment: Any) -> Result:
+    async def acknowledge(self, at: Any, event_id: Any, comment: Any) -> Any:
         """Acknowledge the state that an event has reported, with a comment."""
         return await self._commented(at, event_id, comment, acknowledge=True)
 
-    async def add_comment(self, at: Any, event_id: Any, comment: Any) -> Result:
+    async def add_comment(self, at: Any, event_id: Any, comment: Any) -> Any:
         """Add a comment to an alarm."""
         return await self._commented(at, event_id, comment, acknowledge=False)
 
-    async def _commented(self, at: Any, event_id: Any, comment: Any, *, acknowledge: bool) -> Result:
+    async def _commented(self, at: Any, event_id: Any, comment: Any, *, acknowledge: bool) -> Any:
         codes = self.ua.StatusCodes
         async with self.lock:
             if (condition := self._called(at)) is None:
@@ -257,7 +256,7 @@ class AlarmServer:
             await self._send(condition)
             return []
 
-    async def refresh(self, at: Any, subscription: Any, *_: Any) -> Result:
+    async def refresh(self, at: Any, subscription: Any, *_: Any) -> Any:
         """Send the states of all alarms of interest once more, to one subscription."""
         async with self.lock:
             await self.begin.trigger(subscription_id=subscription.Value)
@@ -267,21 +266,21 @@ class AlarmServer:
             await self.end.trigger(subscription_id=subscription.Value)
             return []
 
-    async def unshelve(self, at: Any) -> Result:
+    async def unshelve(self, at: Any) -> Any:
         """End the shelving of an alarm."""
         return await self._shelved(at, UNSHELVED)
 
-    async def shelve_once(self, at: Any) -> Result:
+    async def shelve_once(self, at: Any) -> Any:
         """Shelve an alarm until it ends."""
         return await self._shelved(at, ONE_SHOT)
 
-    async def shelve_for(self, at: Any, milliseconds: Any) -> Result:
+    async def shelve_for(self, at: Any, milliseconds: Any) -> Any:
         """Shelve an alarm for a time."""
         if not 0 < milliseconds.Value < 1000 * threading.TIMEOUT_MAX:
             return self.ua.StatusCode(self.ua.StatusCodes.BadShelvingTimeOutOfRange)
         return await self._shelved(at, TIMED, milliseconds.Value / 1000)
 
-    async def _shelved(self, at: Any, how: str, seconds: float = 0.0) -> Result:
+    async def _shelved(self, at: Any, how: str, seconds: float = 0.0) -> Any:
         codes = self.ua.StatusCodes
         async with self.lock:
             if (condition := self._called(at)) is None:

@@ -25,9 +25,9 @@ Array = NDArray[Any]
 
 
 def change_line(change: Change, clock: Clock) -> str:
-    """{"event": "opened", "id": 1, "t": 30.0, "alarm": {...}, "device_health": "FAILURE", ...}: an event by its fields."""
+    """{"event": "opened", "id": 1, "t": 30.0, "alarm_id": 1, "device_health": "FAILURE", ...}: an event by its fields."""
     found: dict[str, Any] = {"event": change.what, "id": change.id, **_when(change.t, clock)}
-    found |= {} if change.alarm is None else {"alarm": change.alarm._asdict()}
+    found |= {} if change.alarm is None else {f"alarm_{name}": value for name, value in change.alarm._asdict().items()}
     found |= {} if change.device_health is None else {"device_health": change.device_health.name}
     if change.event is None:
         return _json({**found, "reason": change.reason})

@@ -108,7 +108,7 @@ def test_alarms_are_in_the_lines_and_survive_a_restart(tmp_path: Path) -> None:
     again = Watch.load(tmp_path / "w.state", LeaveOneOutBank(tanks(), window=1), refused=print)
     assert before + lines(again, rows[70:]) == expected
     of_l1 = [line for line in expected if '"l1"' in line]
-    assert sum('"opened"' in line for line in of_l1) > 2 and sum('"new": true' in line for line in of_l1) == 1
+    assert sum('"opened"' in line for line in of_l1) > 2 and sum('"alarm_new": true' in line for line in of_l1) == 1
     assert Alarms.of(str(whole.alarms)) == whole.alarms
     ahead = str(whole.alarms)
     whole.last()
