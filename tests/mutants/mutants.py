@@ -973,13 +973,11 @@ MUTANTS = (
         "QUIET = 600.0",
         "QUIET = 599.0",
         "tests/live/test_alarms.py::test_what_returns_after_ten_minutes_is_a_new_alarm_and_before_it_is_not",
-        quick=True,
     ),
     Mutant(
         "fusion_sfdia/live/device_health.py",
         "abs(event.sigmas) <= WITHIN",
         "abs(event.sigmas) < WITHIN",
         "tests/live/test_device_health.py::test_an_event_has_a_state_by_its_kind_and_size",
-        quick=True,
     ),
 )
