@@ -1,7 +1,9 @@
 # The public names of this module, which reads this file to find them, and so do type checkers.
 
 from fusion_sfdia.detectors.verdicts import Verdict as Verdict
+from fusion_sfdia.diagnosis.changes import Alarm as Alarm
 from fusion_sfdia.diagnosis.changes import Change as Change
+from fusion_sfdia.diagnosis.device_health import DeviceHealth as DeviceHealth
 from fusion_sfdia.diagnosis.events import Event as Event
 from fusion_sfdia.diagnosis.events import ProcessEvent as ProcessEvent
 from fusion_sfdia.diagnosis.events import UndecidedEvent as UndecidedEvent

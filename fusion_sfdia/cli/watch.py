@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import threading
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from datetime import UTC, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,7 @@ from fusion_sfdia.common.numerals import decimal, integer
 
 if TYPE_CHECKING:
     from fusion_sfdia.live.saving import SavedWatch
+    from fusion_sfdia.live.webhook import Webhook
     from fusion_sfdia.logs.log_map import LogMap
 
 LONGEST_LINE = 1_000_000  # bytes; a longer one is refused whole
@@ -50,7 +52,9 @@ def add_watch(commands: Any) -> None:
     one.add_argument("--mqtt", metavar="URL", help="read the rows from an MQTT broker: mqtt://host:1883, or mqtts:// for TLS")
     one.add_argument("--topics", type=Path, metavar="TOPICS.toml", help="which topics are read and written, with --mqtt")
     one.add_argument(
-        "--allow-plain-password", action="store_true", help="send a password although the connection is not encrypted"
+        "--allow-plain-password",
+        action="store_true",
+        help="send a password or token although the connection is not encrypted",
     )
     one.add_argument("--state", type=Path, metavar="FILE", help="where the state is saved, and taken up if the file is there")
     one.add_argument("--save-every", type=integer, default=1000, metavar="N", help="rows between two saves (default: 1000)")
@@ -85,6 +89,11 @@ def add_watch(commands: Any) -> None:
         metavar="S",
         help="seconds without a row after which the status is blind (default: 10 steps of the plant)",
     )
+    one.add_argument("--webhook", metavar="URL", help="post the line of each change to this address, http:// or https://")
+    one.add_argument("--webhook-token", metavar="VARIABLE", help="environment variable with the token of --webhook")
+    one.add_argument(
+        "--alarms", metavar="URL", help="serve alarms and health of sensors over OPC UA there, such as opc.tcp://127.0.0.1:4841"
+    )
     one.add_argument("--metrics", metavar="HOST:PORT", help="serve the status to Prometheus; a port alone: on this machine")
     add_columns(one, "where they are missing")
     one.set_defaults(work=_watch)
@@ -97,18 +106,34 @@ def _watch(chosen: argparse.Namespace) -> int:
     if chosen.state is not None and not chosen.state.absolute().parent.is_dir():
         raise ValueError(f"--state {chosen.state}: there is no folder {chosen.state.parent}; make it, or name another file")
     with (
+        _webhook(chosen) as webhook,  # the outermost: at its end it takes some seconds for what is not yet posted
         ended_in_time(chosen.interruption),
         nullcontext() if chosen.state is None else locked_file(chosen.state),
     ):
-        return _watched(chosen)
+        return _watched(chosen, webhook)
 
 
-def _watched(chosen: argparse.Namespace) -> int:
+def _webhook(chosen: argparse.Namespace) -> AbstractContextManager[Webhook | None]:
+    from fusion_sfdia.live.left_out_lines import Remarks
+    from fusion_sfdia.live.webhook import Webhook
+
+    token = None
+    if (variable := chosen.webhook_token) is not None:
+        if chosen.webhook is None:
+            raise ValueError("--webhook-token needs --webhook, to which the token is sent; give both or neither")
+        if not (token := os.environ.get(variable)):
+            raise ValueError(f"--webhook-token is {variable!r}, which the environment does not have; set it to the token")
+    if chosen.webhook is None:
+        return nullcontext()
+    return Webhook(chosen.webhook, Remarks(_say), token=token, allow_plain=chosen.allow_plain_password)
+
+
+def _watched(chosen: argparse.Namespace, webhook: Webhook | None) -> int:
     from fusion_sfdia.cli.tune import bound_detector
     from fusion_sfdia.diagnosis.watch import Watch
     from fusion_sfdia.live.left_out_lines import Remarks
     from fusion_sfdia.live.saving import SavedWatch
-    from fusion_sfdia.live.security import SCHEMES, address
+    from fusion_sfdia.live.security import SCHEMES, address, remarked_logs
     from fusion_sfdia.live.status import Status, beating, endpoint, served
     from fusion_sfdia.logs.log_map import AT_THE_SAMPLE, PLAIN_MAP, load_map
 
@@ -123,9 +148,9 @@ def _watched(chosen: argparse.Namespace) -> int:
             raise ValueError(f"--{one} needs --{other}, which states what a --map states of text; give both or neither")
     if chosen.opcua and chosen.mqtt:
         raise ValueError("--opcua and --mqtt both state where the rows come from; give one")
-    for option in ("opcua", "mqtt"):  # before anything that takes time
+    for option, kind in (("opcua", "opcua"), ("mqtt", "mqtt"), ("alarms", "opcua")):  # before anything that takes time
         if (url := getattr(chosen, option)) is not None:
-            address(f"--{option}", url, SCHEMES[option])
+            address(f"--{option}", url, SCHEMES[kind])
     refused, log_map = Remarks(_say), load_map(chosen.map) if chosen.map else PLAIN_MAP
     settings = {"reorder": chosen.reorder, "keep_last": log_map.duplicates == "last", "refused": refused}
     if chosen.longest_gap is not None:
@@ -148,6 +173,8 @@ def _watched(chosen: argparse.Namespace) -> int:
     saved = SavedWatch(
         watch, _write, chosen.state, chosen.save_every, chosen.samples, status=status, undivided=chosen.interruption.deferred
     )
+    if webhook is not None:
+        saved.outlets.append(lambda change, line: webhook.post(line))
     chosen.interruption.save = saved.save
 
     def beat() -> None:
@@ -155,7 +182,12 @@ def _watched(chosen: argparse.Namespace) -> int:
         status.beat()
 
     try:
-        with beating(chosen.status_every, beat), nullcontext() if at is None else served(*at, status):
+        with (
+            remarked_logs(("asyncua", "asyncuagds"), refused),
+            _alarms(chosen, saved),
+            beating(chosen.status_every, beat),
+            nullcontext() if at is None else served(*at, status),
+        ):
             if chosen.opcua:
                 _server(chosen, saved)
             elif chosen.mqtt:
@@ -168,6 +200,12 @@ def _watched(chosen: argparse.Namespace) -> int:
         if refused.count:
             _say(f"{refused.count} remarks in all")
     return 0
+
+
+def _alarms(chosen: argparse.Namespace, saved: SavedWatch) -> AbstractContextManager[object]:
+    from fusion_sfdia.live.alarm_server import alarms_served
+
+    return nullcontext() if chosen.alarms is None else alarms_served(chosen.alarms, saved)
 
 
 def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap) -> None:
@@ -200,11 +238,9 @@ def _server(chosen: argparse.Namespace, saved: SavedWatch) -> None:
 
     from fusion_sfdia.live.nodes import load_nodes
     from fusion_sfdia.live.opcua import watch_server
-    from fusion_sfdia.live.security import remarked_logs
 
     nodes = load_nodes(chosen.nodes, saved.watch.detector.plant)
-    with remarked_logs(("asyncua", "asyncuagds"), saved.watch.refused):
-        asyncio.run(watch_server(saved, chosen.opcua, nodes, allow_plain_password=chosen.allow_plain_password))
+    asyncio.run(watch_server(saved, chosen.opcua, nodes, allow_plain_password=chosen.allow_plain_password))
 
 
 def _broker(chosen: argparse.Namespace, saved: SavedWatch) -> None:

@@ -13,12 +13,25 @@ from fusion_sfdia.detectors.batch_detector import BatchDetector
 from fusion_sfdia.detectors.detector import Decision, Detector, stack
 from fusion_sfdia.detectors.storage import SavedArrays, whole_numbers
 from fusion_sfdia.detectors.verdicts import Conclusion, Verdict
+from fusion_sfdia.diagnosis.device_health import DeviceHealth, health_of
 from fusion_sfdia.diagnosis.events import Event, events_of
 from fusion_sfdia.diagnosis.sensor_events import rivals_at
 
 Array = NDArray[Any]
 
 KEPT = 600  # samples, from which size and kind of an event are taken
+
+
+class Alarm(NamedTuple):
+    """The alarm to which a change belongs, see `Alarms`.
+
+    id: 1, 2, ... new: whether the change raises it; otherwise it updates one that was raised before. active: whether its cause
+    stands after the change.
+    """
+
+    id: int
+    new: bool
+    active: bool
 
 
 class Change(NamedTuple):
@@ -30,7 +43,8 @@ class Change(NamedTuple):
     and not isolated, a new one; "health", where the verdict on the model has changed, with the line of `diagnose` as reason;
     "reset", where the detector has started anew, for the stated reason; "blind", where nothing can be judged, for the stated
     reason, and "sees again", where that is over, with the id of "blind". event: as `diagnose` has it, with the size at that
-    time, when it opens with confidence and alternatives; None for a reset, health and sight.
+    time, when it opens with confidence and alternatives; None for a reset, health and sight. alarm: the alarm to which it
+    belongs; None of a reset and of health.
     """
 
     id: int
@@ -38,6 +52,14 @@ class Change(NamedTuple):
     t: float
     event: Event | None = None
     reason: str = ""
+    alarm: Alarm | None = None
+
+    @property
+    def device_health(self) -> DeviceHealth | None:
+        """The state by NAMUR NE 107 that it means for its sensors while it stands; None where it says nothing of a sensor."""
+        if self.event is None:
+            return DeviceHealth.CHECK_FUNCTION if self.what in ("blind", "sees again") else None
+        return health_of(self.event)
 
 
 class OpenEvent(NamedTuple):

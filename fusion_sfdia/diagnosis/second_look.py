@@ -151,7 +151,7 @@ class SecondLook:
         for number, event in opened:
             if event.kind == "sensor":
                 self.named.append(NamedEvent(number, event.hypothesis, event.start, event.start))
-        if not self.due and self.count % EACH == 0 and self._is_silent_or_frozen():
+        if self.count % EACH == 0 and (self._is_back() or (not self.due and self._is_silent_or_frozen())):
             self.happened()
         found: list[tuple[int, Event]] = []
         health = ""
@@ -185,15 +185,28 @@ class SecondLook:
         """The same after a reset, of which it knows nothing but the sensors and the verdict."""
         return SecondLook(self.detector, self.gap, self.unread, self.say, said=self.said, verdict=self.verdict)
 
+    def open_events(self) -> list[tuple[int, Event]]:
+        """Id and event of what was reported last as not over."""
+        return [(e.id, e.told) for e in self.named if e.told is not None and e.told.open]
+
     def _is_silent_or_frozen(self) -> bool:
+        """Whether a sensor is, of which nothing was reported."""
+        known = {e.hypothesis for e in self.named} | {*self.unread}
+        return bool(self._silent_or_frozen() - known)
+
+    def _is_back(self) -> bool:
+        """Whether a sensor is not, of which that was reported last."""
+        lost = {e.hypothesis for _, e in self.open_events() if e.fault in ("dropout", "freeze")}
+        return bool(lost and lost - self._silent_or_frozen())
+
+    def _silent_or_frozen(self) -> set[str]:
+        """The sensors of which half of the last DUE readings are missing, or the last REPEATED are equal."""
         last = np.array([s.y for s in islice(reversed(self.window), DUE)])
         if len(last) < DUE:
-            return False
+            return set()
         silent = np.sum(np.isnan(last), axis=0) >= DUE // 2
         equal = np.all(last[:REPEATED] == last[0], axis=0)
-        known = {e.hypothesis for e in self.named} | {*self.unread}
-        sensors = self.detector.plant.sensor_names
-        return any(sensors[i] not in known for i in np.flatnonzero(silent | equal))
+        return {self.detector.plant.sensor_names[i] for i in np.flatnonzero(silent | equal)}
 
     def _explained(self, clock: Clock, *, whole: bool) -> tuple[list[Event], Health]:
         """The events and the health of the model of `diagnose`, of the window; whole: late sensors are looked for."""
@@ -241,13 +254,16 @@ class SecondLook:
             known = own[0]
             for other in own[1:]:  # those that are one with the first
                 self.named.remove(other)
+                found += [(other.id, replace(other.told, open=False))] if other.told is not None and other.told.open else []
             known.start = event.start if event.start > times[0] else min(known.start, event.start)
             known.end, event = self._trusted(event), replace(event, start=known.start)
             if known.told is None or _differs(known.told, event):
                 known.told = event
                 found.append((known.id, event))
             known.final = known.end < settled
-        self.named = [e for e in self.named if not (e.end < times[0])]
+        gone = {e.id for e in self.named if e.end < times[0]}
+        found += [(number, replace(e, open=False)) for number, e in self.open_events() if number in gone]
+        self.named = [e for e in self.named if e.id not in gone]
         for e in self.named:
             e.final |= e.end < settled
         return found

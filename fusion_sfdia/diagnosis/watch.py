@@ -27,7 +27,9 @@ from fusion_sfdia.detectors.storage import (
     write_arrays,
 )
 from fusion_sfdia.detectors.verdicts import Conclusion, Verdict, conclusion_of
+from fusion_sfdia.diagnosis.alarms import Alarms
 from fusion_sfdia.diagnosis.changes import KEPT, Change
+from fusion_sfdia.diagnosis.device_health import DeviceHealth, sensor_health
 from fusion_sfdia.diagnosis.row_order import InOrder, WatchRow
 from fusion_sfdia.diagnosis.second_look import Seen
 from fusion_sfdia.diagnosis.slow_sensors import SlowSensors
@@ -38,7 +40,7 @@ from fusion_sfdia.plant.model_errors import RAISED, ModelError, described, requi
 
 Array = NDArray[Any]
 
-VERSION = 3  # of the file in which a watch is saved
+VERSION = 4  # of the file in which a watch is saved
 ANEW = "name another file, or remove it to begin anew"
 OF_INPUTS = ("u", "given", "known_at")
 
@@ -55,7 +57,8 @@ class Sample(NamedTuple):
     """A row that was taken, with the inputs used, its Decision, and what it changes.
 
     conclusion: the verdict with its reason, blind where nothing was judged; of a row in which all readings are repeats of slow
-    sensors, that of the row before. Where the model failed every number of the Decision is NaN.
+    sensors, that of the row before. Where the model failed every number of the Decision is NaN. device_health: the state of
+    each sensor by NAMUR NE 107.
     """
 
     t: float
@@ -64,6 +67,7 @@ class Sample(NamedTuple):
     decision: Decision
     changes: tuple[Change, ...]
     conclusion: Conclusion
+    device_health: tuple[DeviceHealth, ...]
 
     @property
     def verdict(self) -> Verdict:
@@ -145,6 +149,7 @@ class Watch:
         self.unread = {*unread}  # a source of rows adds the sensors that it does not have
         require_names("unread:", self.unread, detector.plant.sensor_names)
         self.findings = Findings(detector, int(gap), kinds, refused, self.unread)
+        self.alarms = Alarms()
         self.slow = None if repeats else SlowSensors(detector.plant, refused)
         self.unknown_inputs = unknown_inputs
         self.clock = Clock()
@@ -194,7 +199,8 @@ class Watch:
 
     def last(self) -> list[Change]:
         """What the second look would report if no row came any more; the watch stays as it is."""
-        return [] if self.t is None else self.findings.last(self.t, self.clock)
+        alarms = Alarms.of(str(self.alarms))
+        return [] if self.t is None else [alarms.told(change) for change in self.findings.last(self.t, self.clock)]
 
     def _in_turn(self, rows: list[tuple[WatchRow, float]]) -> tuple[Sample, ...]:
         return tuple(sample for row, ahead in rows for sample in self._diagnosed(row, ahead))
@@ -257,7 +263,10 @@ class Watch:
         if np.all(np.isfinite(decision.estimate)) and decision.estimate.shape == self.x.shape:
             self.x = decision.estimate
         self.u, self.given, self.known_at = u, given, known_at
-        return (Sample(row.t, row.y, u, decision, tuple(changes), self.concluded),)
+        told = tuple(map(self.alarms.told, changes))
+        recent = (d for _, d in reversed(self.findings.changes.recent))
+        health = sensor_health(self.detector.plant, decision, self.concluded, recent, self.alarms.standing)
+        return (Sample(row.t, row.y, u, decision, told, self.concluded, health),)
 
     def _stepped(self, row: WatchRow, u: Array, begins: float) -> tuple[State, Decision, list[tuple[float, Array]]]:
         """The state and the Decision after a row, and times and inputs of the steps before it; any error of the model.
@@ -338,7 +347,7 @@ class Watch:
         own = {"t": np.array(self.t), "u": self.u, "given": self.given, "known_at": self.known_at, "lost": np.array(self.lost)}
         own["clock"] = np.array("" if self.clock.start is None else self.clock.start.isoformat())
         own |= {"verdict": np.array(str(self.concluded.verdict)), "reason": np.array(self.concluded.reason)}
-        own |= {"version": np.array(VERSION), "fingerprint": np.array(self.identity)}
+        own |= {"alarms": np.array(str(self.alarms)), "version": np.array(VERSION), "fingerprint": np.array(self.identity)}
         state = {} if self.state is None else state_arrays(self.state, self.identity)
         parts = {
             "watch": own,
@@ -392,6 +401,7 @@ class Watch:
         if np.isnan(self.known_at).any() or (self.known_at > self.t).any():
             raise ValueError("'known_at' is not a time before the last row")
         self.concluded = Conclusion(Verdict(str(own.take("verdict", "U"))), str(own.take("reason", "U")))
+        self.alarms = Alarms.of(str(own.take("alarms", "U")))
         own.end()
         self.order.loaded = self.t
         self.findings.restore(changes)

@@ -48,9 +48,10 @@ class Findings:
                 self.look.happened([c.id for c in now if c.what == "closed"])
             return [*now, *self._told(seen.t, *self.look.changes(opened, clock, self.changes.count + 1))]
         except RAISED as error:
+            ended = self._ended(seen.t, self.look)
             self.look = self.look.anew()
             self.refused(f"row at {clock.at(seen.t)}: kinds of faults are named from the next row on: {described(error)}")
-            return now
+            return [*now, *ended]
 
     def sight(self, t: float, conclusion: Conclusion, *, at_once: bool) -> list[Change]:
         """Whether rows are no longer judged, or again, see `Changes.seen`."""
@@ -62,6 +63,7 @@ class Findings:
         if self.look is not None:
             events, health = self._final(self.look, clock)
             found = self._told(t, [(number, replace(e, open=False)) for number, e in events], health)
+            found = [*self._ended(t, self.look, {number for number, _ in events}), *found]
             self.look = self.look.anew()
         return [*found, *self.changes.reset(t, reason)]
 
@@ -80,6 +82,11 @@ class Findings:
             return look.final(clock, self.changes.count + 1)
         except RAISED:
             return [], ""
+
+    def _ended(self, t: float, look: SecondLook, known: Collection[int] = ()) -> list[Change]:
+        """That those events have ended which were reported by the second look alone, and are not `known` otherwise."""
+        known = {*known, *(e.id for e in self.changes.standing.values())}
+        return [Change(n, "named", t, replace(e, open=False)) for n, e in look.open_events() if n not in known]
 
     def _told(self, t: float, events: Sequence[tuple[int, Event]], health: str) -> list[Change]:
         self.changes.count = max([self.changes.count, *(number for number, _ in events)])

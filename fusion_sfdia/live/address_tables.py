@@ -10,8 +10,9 @@ from typing import Any
 from fusion_sfdia.common.arguments import number, require_names, require_unique, shown
 from fusion_sfdia.plant.plant import Plant
 
-OF_SENSOR = ("value", "sigma", "verdict")
+OF_SENSOR = ("value", "sigma", "verdict", "health")
 OF_ALL = ("verdict", "alarm")
+ALONE = ("status", "events")  # names outside of the tables that have an address
 
 
 def load_tables(
@@ -25,10 +26,10 @@ def load_tables(
 ) -> dict[str, Any]:
     """Read a TOML file with the names `known`, those in `seconds` positive numbers, and the tables read and write.
 
-    read: an address of each input, and of some sensors. write: of some sensors {"value", "sigma", "verdict": address}, and
-    the addresses "verdict" and "alarm" of the whole. require_source, require: raise ValueError, beginning with their first
+    read: an address of each input, and of some sensors. write: of some sensors {name of `OF_SENSOR`: address}, and the
+    addresses "verdict" and "alarm" of the whole. require_source, require: raise ValueError, beginning with their first
     argument, unless the second states where to read, or is an address. address: of either, equal for equal ones: where it is,
-    and what is read there. ValueError for anything else, and where two of these names, or one of them and status, have one.
+    and what is read there. ValueError for anything else, and where two of these names, or one and one of `ALONE`, have one.
     """
     with Path(path).open("rb") as file:
         try:
@@ -63,8 +64,9 @@ def load_tables(
             raise ValueError(f"{path}, [write]: {name} is {shown(value)}; expected a table of {', '.join(OF_SENSOR)}")
         else:
             require(f"{path}, [write]: {name}", value)
-    if "status" in found:
-        require(f"{path}: status", found["status"])
+    for name in ALONE:
+        if name in found:
+            require(f"{path}: {name}", found[name])
     _require_own_addresses(path, plant, found, address)
     return found
 
@@ -85,7 +87,7 @@ def _require_own_addresses(
     written = [(f"[write] {name}", value) for name, value in found["write"].items() if not isinstance(value, dict)]
     for name, value in found["write"].items():
         written += [(f"[write.{name}] {what}", at) for what, at in value.items()] if isinstance(value, dict) else []
-    for what, value in [*written, *([("status", found["status"])] if "status" in found else [])]:
+    for what, value in [*written, *((name, found[name]) for name in ALONE if name in found)]:
         where = address(value)[0]
         if (other := read.get(where) or known.setdefault(("written", where), what)) != what:
             raise ValueError(f"{path}: {other} and {what} both have the address {shown(value)}; give each its own")

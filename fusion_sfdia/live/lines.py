@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -15,7 +15,9 @@ from fusion_sfdia.common.numerals import for_json
 from fusion_sfdia.detectors.detector import Detector
 from fusion_sfdia.detectors.verdicts import Verdict, far_off
 from fusion_sfdia.diagnosis.changes import Change
+from fusion_sfdia.diagnosis.device_health import DeviceHealth
 from fusion_sfdia.diagnosis.watch import Sample
+from fusion_sfdia.live.status import Report
 from fusion_sfdia.plant.model_errors import RAISED
 from fusion_sfdia.plant.plant import Plant
 
@@ -23,8 +25,10 @@ Array = NDArray[Any]
 
 
 def change_line(change: Change, clock: Clock) -> str:
-    """{"event": "opened", "id": 1, "t": 30.0, "kind": "sensor", "hypothesis": "p_3", ...}: an event by its fields."""
-    found = {"event": change.what, "id": change.id, **_when(change.t, clock)}
+    """{"event": "opened", "id": 1, "t": 30.0, "alarm_id": 1, "device_health": "FAILURE", ...}: an event by its fields."""
+    found: dict[str, Any] = {"event": change.what, "id": change.id, **_when(change.t, clock)}
+    found |= {} if change.alarm is None else {f"alarm_{name}": value for name, value in change.alarm._asdict().items()}
+    found |= {} if change.device_health is None else {"device_health": change.device_health.name}
     if change.event is None:
         return _json({**found, "reason": change.reason})
     fields = change.event.fields(clock)
@@ -40,14 +44,20 @@ def sample_line(sample: Sample, plant: Plant, hypotheses: tuple[str, ...], clock
     d, concluded = sample.decision, sample.conclusion
     value, sigma = validated(plant, sample)
     blind = concluded.verdict is Verdict.BLIND
-    found = {"event": "sample", **_when(sample.t, clock), "verdict": str(concluded.verdict)}
+    found: dict[str, Any] = {"event": "sample", **_when(sample.t, clock), "verdict": str(concluded.verdict)}
     found |= {"reason": concluded.reason} if concluded.reason else {}
     found |= {"score": None if blind else float(d.score), "alarm": alarm(sample)}
     flags = {name: bool(np.any(getattr(d, name))) for name in ("diverged", "guarded", "capped")}
     found |= {"isolated": [hypotheses[i] for i in np.flatnonzero(d.isolated)], **flags}
     for what, numbers in (("values", value), ("sigma", sigma)):
         found[what] = dict(zip(plant.sensor_names, map(float, numbers), strict=True))
+    found["device_health"] = named_health(plant, sample.device_health)
     return _json(found)
+
+
+def named_health(plant: Plant, states: Sequence[DeviceHealth]) -> dict[str, str]:
+    """The state of each sensor by NAMUR NE 107, {"l1": "OFF_SPEC", ...}."""
+    return {name: state.name for name, state in zip(plant.sensor_names, states, strict=True)}
 
 
 def alarm(sample: Sample) -> bool | None:
@@ -74,9 +84,9 @@ def verdict_text(detector: Detector, sample: Sample) -> str:
 
 def results(detector: Detector, sample: Sample, write: Mapping[str, Any]) -> list[tuple[str, float | str | bool | None]]:
     """The addresses in the table `write` of a bridge, each with what belongs there of a sample; NaN for a number that is not
-    known, None for an alarm of which that is so.
+    known, None for an alarm of which that is so. What a `Report` has, the health of sensors, is not among them.
 
-    write: of some sensors {"value", "sigma", "verdict": address}, and the addresses "verdict" and "alarm" of the whole.
+    write: of some sensors {name of `tables.OF_SENSOR`: address}, and the addresses "verdict" and "alarm" of the whole.
     """
     plant = detector.plant
     value, sigma = validated(plant, sample)
@@ -89,8 +99,14 @@ def results(detector: Detector, sample: Sample, write: Mapping[str, Any]) -> lis
         else:
             i = plant.sensor_index(name)
             of_sensor: dict[str, Any] = {"value": float(value[i]), "sigma": float(sigma[i]), "verdict": verdicts[i]}
-            found += [(address, of_sensor[what]) for what, address in where.items()]
+            found += [(address, of_sensor[what]) for what, address in where.items() if what in of_sensor]
     return found
+
+
+def health_results(report: Report, write: Mapping[str, Any]) -> list[tuple[str, DeviceHealth]]:
+    """The addresses of the health of sensors in the table `write` of a bridge, each with that of a report."""
+    health = report.device_health
+    return [(where["health"], health[name]) for name, where in write.items() if isinstance(where, dict) and "health" in where]
 
 
 def validated(plant: Plant, sample: Sample) -> tuple[Array, Array]:

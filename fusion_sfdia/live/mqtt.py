@@ -15,7 +15,7 @@ from fusion_sfdia.common.errors import MissingPackageError
 from fusion_sfdia.diagnosis.watch import Sample
 from fusion_sfdia.live import security
 from fusion_sfdia.live.address_tables import units_of
-from fusion_sfdia.live.lines import results
+from fusion_sfdia.live.lines import health_results, results
 from fusion_sfdia.live.saving import SavedWatch
 from fusion_sfdia.live.status import Report, Status
 from fusion_sfdia.live.topics import Topics
@@ -110,8 +110,10 @@ class Bridge:
             client.tls_set_context(self.context)
         if topics.status is not None:
             client.will_set(topics.status, "gone", topics.qos, retain=True)
-            saved.status = saved.status or Status(saved.watch)
-            saved.status.listeners.append(self._report)
+        saved.status = saved.status or Status(saved.watch)
+        saved.status.listeners.append(self._report)
+        if (events := topics.events) is not None:
+            saved.outlets.append(lambda change, line: client.publish(events, line, topics.qos))  # paho keeps it until connected
         client.on_connect, client.on_connect_fail = self._connected, lambda *_: self._down(self._failure())
         client.on_disconnect = lambda c, u, flags, reason, p: self._down(str(reason)) if reason.is_failure else None
         client.on_subscribe, client.on_message = self._subscribed, self._message
@@ -149,8 +151,10 @@ class Bridge:
             return
         time = self.saved.watch.clock.at(sample.t)
         for topic, value in results(self.saved.watch.detector, sample, self.topics.write):
-            known = None if value != value else value
-            self.client.publish(topic, json.dumps({"value": known, "time": time}), self.topics.qos, retain=True)
+            self._keep(topic, None if value != value else value, time)
+
+    def _keep(self, topic: str, value: Any, time: str | None) -> None:
+        self.client.publish(topic, json.dumps({"value": value, "time": time}), self.topics.qos, retain=True)
 
     def _connected(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
         if reason.is_failure:
@@ -178,8 +182,12 @@ class Bridge:
         return "refused or not reachable"
 
     def _report(self, report: Report) -> None:
-        """The report as the status, which stays with the broker until another comes, or the will, "gone"."""
-        if self.topics.status is not None and self.client.is_connected():
+        """Publish the status and the health of sensors, which stay with the broker until others come, or the will, "gone"."""
+        if not self.client.is_connected():
+            return
+        for topic, health in health_results(report, self.topics.write):
+            self._keep(topic, health.name, report.last_row or None)
+        if self.topics.status is not None:
             self.client.publish(self.topics.status, report.json, self.topics.qos, retain=True)
 
     def _down(self, why: str) -> None:

@@ -39,7 +39,8 @@ class Nodes(Connection):
     """Nodes by their OPC UA ids, such as "ns=2;s=TT-101.PV", and how they are read.
 
     read: the node of each sensor and input, or a table of the fields of `Source`. write: of some sensors {"value", "sigma",
-    "verdict": node}, and the nodes "verdict" and "alarm" of the whole. status: a node for the verdict of the moment as a
+    "verdict", "health": node}, and the nodes "verdict" and "alarm" of the whole; health is an Int32 by the enumeration
+    DeviceHealth of OPC UA for Devices. status: a node for the verdict of the moment as a
     text, "blind" where no row comes. uncertain: whether values of that quality are used ("use") or "missing". stale: seconds
     by which the source time of a value may be before the newest one; an older one is missing (None: it counts, as servers
     that report changes alone do not renew it). max_lead, max_lag: as in `Values`, of source times that are new. period:

@@ -15,7 +15,7 @@ from fusion_sfdia.common.arguments import shown
 from fusion_sfdia.common.errors import MissingPackageError
 from fusion_sfdia.diagnosis.watch import Sample
 from fusion_sfdia.live.address_tables import units_of
-from fusion_sfdia.live.lines import results
+from fusion_sfdia.live.lines import health_results, results
 from fusion_sfdia.live.nodes import Nodes
 from fusion_sfdia.live.saving import SavedWatch
 from fusion_sfdia.live.security import EXAMPLE, SCHEMES, UntrustedError, address, require_encrypted, secure
@@ -86,10 +86,8 @@ class Bridge:
         self.readers = {name: nodes.reader(name, units[name]) for name in sources}
         self.stamps: dict[str, datetime | None] = {}  # of the last values
         self.reports: deque[Report] = deque(maxlen=1)  # that are to be written
-        if nodes.status is not None:
-            saved.status = saved.status or Status(saved.watch)
-            saved.status.listeners.append(self.reports.append)
-            saved.status.beat()
+        self.status = saved.status = saved.status or Status(saved.watch)
+        self.status.listeners.append(self.reports.append)
 
     def _id(self, text: str) -> Any:
         try:
@@ -100,6 +98,7 @@ class Bridge:
     async def rows(self, client: Any) -> None:
         """Read and diagnose one row after another; returns with an error of the connection."""
         checked = False
+        self.reports.append(self.status.report())  # a server that was started anew does not know
         while True:
             found = await client.uaclient.read_attributes([node for _, node in self.read], self.ua.AttributeIds.Value)
             if not checked:
@@ -155,25 +154,28 @@ class Bridge:
         return status is None or status.is_good() or (self.nodes.uncertain == "use" and status.is_uncertain())
 
     async def _write(self, client: Any, sample: Sample) -> None:
-        """Write what is asked for of a sample; nodes that refuse it are reported. What is not known is of bad quality."""
+        """Write what is asked for of a sample. What is not known is of bad quality."""
         found = results(self.saved.watch.detector, sample, self.nodes.write)
-        if not found:
-            return
-        ids, data = [node for node, _ in found], [self._written(value) for _, value in found]
-        for node, status in zip(ids, await client.uaclient.write_attributes(list(map(self._id, ids)), data), strict=True):
-            if not status.is_good():
-                self.saved.watch.refused(f"node {node} does not take its value: {status.name}")
+        await self._put(client, [(node, self._written(value)) for node, value in found])
 
     async def _report(self, client: Any) -> None:
-        """Write the verdict of the moment to the node for it, where there is one, as often as the status is reported."""
-        if self.nodes.status is None or not self.reports:
+        """Write the verdict of the moment and the health of sensors to the nodes for them, as often as they are reported."""
+        if not self.reports:
             return
-        text = self.reports.pop().conclusion.text
-        self.reports.clear()
-        value = self.ua.DataValue(self.ua.Variant(text))
-        (status,) = await client.uaclient.write_attributes([self._id(self.nodes.status)], [value])
-        if not status.is_good():
-            self.saved.watch.refused(f"node {self.nodes.status} does not take its value: {status.name}")
+        report, ua = self.reports.pop(), self.ua
+        found = [(node, ua.Variant(int(h), ua.VariantType.Int32)) for node, h in health_results(report, self.nodes.write)]
+        if self.nodes.status is not None:
+            found.append((self.nodes.status, ua.Variant(report.conclusion.text)))
+        await self._put(client, [(node, ua.DataValue(value)) for node, value in found])
+
+    async def _put(self, client: Any, found: list[tuple[str, Any]]) -> None:
+        """Write data values to nodes; those that refuse theirs are reported."""
+        if not found:
+            return
+        ids, data = [self._id(node) for node, _ in found], [value for _, value in found]
+        for (node, _), status in zip(found, await client.uaclient.write_attributes(ids, data), strict=True):
+            if not status.is_good():
+                self.saved.watch.refused(f"node {node} does not take its value: {status.name}")
 
     def _written(self, value: float | str | bool | None) -> Any:
         """A data value, of bad quality where it is not known (NaN, or None of an alarm), and then with a value of its type."""

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from fusion_sfdia.common.files import explained
+from fusion_sfdia.diagnosis.changes import Change
 from fusion_sfdia.diagnosis.watch import Sample, Watch
 from fusion_sfdia.live.lines import change_line, sample_line
 from fusion_sfdia.live.status import Status
@@ -34,6 +35,7 @@ class SavedWatch:
     saved: int = 0  # rows that the state has
     whole: bool = True  # whether all lines of the rows taken are written
     status: Status | None = None
+    outlets: list[Callable[[Change, str], object]] = field(default_factory=list)  # called with each change and its line
     undivided: Callable[[], AbstractContextManager[None]] = nullcontext  # around each row: a signal may end it, not break it
 
     def __post_init__(self) -> None:
@@ -51,14 +53,19 @@ class SavedWatch:
         self.whole = False
         found = self._written(self.watch.finish())
         for change in self.watch.last():
-            self.write(change_line(change, self.watch.clock))
+            self._changed(change)
         return found
+
+    def _changed(self, change: Change) -> None:
+        self.write(line := change_line(change, self.watch.clock))
+        for outlet in self.outlets:
+            outlet(change, line)
 
     def _written(self, found: tuple[Sample, ...]) -> tuple[Sample, ...]:
         watch = self.watch
         for sample in found:
             for change in sample.changes:
-                self.write(change_line(change, watch.clock))
+                self._changed(change)
             if self.samples:
                 self.write(sample_line(sample, watch.detector.plant, watch.detector.hypotheses, watch.clock))
         self.rows, self.whole = self.rows + len(found), True

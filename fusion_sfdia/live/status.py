@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fusion_sfdia.detectors.verdicts import Conclusion, Verdict
+from fusion_sfdia.diagnosis.device_health import DeviceHealth
 from fusion_sfdia.diagnosis.watch import Sample, Watch
 
 RECENT = 100  # rows over which the share of missing readings is taken
@@ -26,6 +27,7 @@ class Report(NamedTuple):
     last_row: time of the last row, "" before the first. rows: diagnosed in this process. missing: share of the readings of the
     last `RECENT` rows. lag: seconds by which the last row came after its own time, NaN where that has no zone. age: seconds
     since it came, NaN before the first. stamp: of the last row, s since 1970, NaN where that is not known. remarks: so far.
+    device_health: of each sensor by its name the state by NAMUR NE 107.
     """
 
     conclusion: Conclusion
@@ -36,6 +38,7 @@ class Report(NamedTuple):
     age: float
     stamp: float
     remarks: int
+    device_health: dict[str, DeviceHealth]
 
     @property
     def line(self) -> str:
@@ -50,7 +53,9 @@ class Report(NamedTuple):
         verdict, reason = self.conclusion
         found = {"status": "watching", "state": str(verdict), "reason": reason, "last_row": self.last_row or None}
         numbers = {"rows": self.rows, "missing": self.missing, "lag": self.lag, "age": self.age, "remarks": self.remarks}
-        return json.dumps(found | {name: value if value == value else None for name, value in numbers.items()})
+        known = {name: value if value == value else None for name, value in numbers.items()}
+        health = {name: state.name for name, state in self.device_health.items()}
+        return json.dumps(found | known | {"device_health": health}, ensure_ascii=False)
 
     @property
     def metrics(self) -> str:
@@ -72,6 +77,13 @@ class Report(NamedTuple):
             ]
         found += ["# HELP fusion_sfdia_state 1 for the present verdict.", "# TYPE fusion_sfdia_state gauge"]
         found += [f'fusion_sfdia_state{{state="{v}"}} {int(v is self.conclusion.verdict)}' for v in Verdict]
+        about = ", ".join(f"{state.value} {state.name}" for state in DeviceHealth)
+        found += [f"# HELP fusion_sfdia_device_health Of a sensor, by NAMUR NE 107: {about}."]
+        found += ["# TYPE fusion_sfdia_device_health gauge"]
+        found += [
+            f"fusion_sfdia_device_health{{sensor={json.dumps(s, ensure_ascii=False)}}} {h:d}"
+            for s, h in self.device_health.items()
+        ]
         return "\n".join([*found, ""])
 
 
@@ -80,7 +92,7 @@ class Status:
 
     remarks: the number of remarks so far. silent: seconds without a row after which the watch is blind, by default `SILENT`
     steps of the plant. now: the present time. Listeners are called with each report that `beat` makes, and with one for a row
-    that changes the verdict.
+    that changes the verdict or the health of a sensor.
     """
 
     def __init__(
@@ -97,6 +109,8 @@ class Status:
         self.rows, self.last, self.began = 0, "", now()
         self.arrived: datetime | None = None
         self.conclusion = Conclusion(Verdict.BLIND, "no row was judged yet")
+        self.blind = (DeviceHealth.CHECK_FUNCTION,) * len(watch.detector.plant.sensors)
+        self.health = self.blind
         self.missing: deque[float] = deque(maxlen=RECENT)
         self.lag = self.stamp = np.nan
 
@@ -105,25 +119,27 @@ class Status:
         if not samples:
             return
         self.arrived, clock, sample = self.now(), self.watch.clock, samples[-1]
-        before, self.conclusion, self.last = self.conclusion, sample.conclusion, clock.at(sample.t)
+        before = self.conclusion.verdict, self.health
+        self.conclusion, self.health, self.last = sample.conclusion, sample.device_health, clock.at(sample.t)
         self.rows += len(samples)
         self.missing.extend(float(np.mean(np.isnan(s.y))) for s in samples)
         if clock.start is not None and clock.start.tzinfo is not None:
             self.stamp = clock.start.timestamp() + sample.t
             self.lag = self.arrived.timestamp() - self.stamp
-        if self.conclusion.verdict is not before.verdict:
+        if (self.conclusion.verdict, self.health) != before:
             self.beat()
 
     def report(self) -> Report:
         """The report of this moment."""
         now, missing = self.now(), list(self.missing)
         waited = (now - (self.arrived or self.began)).total_seconds()
-        known = self.conclusion
+        known, health = self.conclusion, self.health
         if waited > self.silent:
-            known = Conclusion(Verdict.BLIND, f"no row for {waited:.0f} s")
+            known, health = Conclusion(Verdict.BLIND, f"no row for {waited:.0f} s"), self.blind
         age = np.nan if self.arrived is None else waited
         share = float(np.mean(missing)) if missing else 0.0
-        return Report(known, self.last, self.rows, share, self.lag, age, self.stamp, self.remarks())
+        of_sensors = dict(zip(self.watch.detector.plant.sensor_names, health, strict=True))
+        return Report(known, self.last, self.rows, share, self.lag, age, self.stamp, self.remarks(), of_sensors)
 
     def beat(self) -> None:
         """Report to all listeners."""

@@ -55,10 +55,11 @@ class Topics(Connection):
     """Topics, and how their payloads are read.
 
     read: the topic of each sensor and input, or a table of the fields of `Source`. write: of some sensors {"value", "sigma",
-    "verdict": topic}, and the topics "verdict" and "alarm" of the whole. status: a topic with the `Report` of the watch as
-    JSON, or "gone". good: values of quality that are good, upper and lower case alike, of texts also longer ones that begin
-    so; "opc-da" or "opc-ua" for the codes of these; any other is bad. epoch: unit of times that are numbers since 1970 where
-    their size does not tell. time_format, tz: of times in text, as format and tz of a LogMap. decimal: the mark of decimals
+    "verdict", "health": topic}, and the topics "verdict" and "alarm" of the whole. status: a topic with the `Report` of the
+    watch as JSON, or "gone". events: a topic for the JSON line of each change. good: values of quality that are good, upper
+    and lower case alike, of texts also longer ones that begin so; "opc-da" or "opc-ua" for the codes of these; any other is
+    bad. epoch: unit of times that are numbers since 1970 where their size does not tell. time_format, tz: of times in text,
+    as format and tz of a LogMap. decimal: the mark of decimals
     in texts. together: seconds by which stamps of one row may differ, None for half the plant's dt. stale, max_lead, max_lag:
     as in `Values`. retry: seconds between attempts to connect; qos: quality of service, 0, 1 or 2. ca: file of the authority
     of the broker, for TLS; certificate, key: files of an own certificate. The rest of the connection: see `Connection`.
@@ -67,6 +68,7 @@ class Topics(Connection):
     read: dict[str, Any]
     write: dict[str, Any] = field(default_factory=dict)
     status: str | None = None
+    events: str | None = None
     good: str | tuple[Any, ...] = ("good", "ok", True, 192)
     epoch: str = "s"
     time_format: str = ""

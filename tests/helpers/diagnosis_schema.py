@@ -30,6 +30,9 @@ def require_described(text: str) -> dict[str, Any]:
 
 
 def require_event(line: dict[str, Any]) -> None:
-    """That a line of `watch` names what it found as the events of a diagnosis do."""
-    Draft202012Validator({"$ref": "#/$defs/event", "$defs": schema()["$defs"]}).validate(line)
-    assert line.keys() <= schema()["$defs"]["event"]["properties"].keys() | {"event", "id", "t", "time"}
+    """That a line of `watch` names what it found as the events of a diagnosis do, and the schema describes all else."""
+    names: set[str] = set()
+    for part in ("event", "change"):
+        Draft202012Validator({"$ref": f"#/$defs/{part}", "$defs": schema()["$defs"]}).validate(line)
+        names |= schema()["$defs"][part]["properties"].keys()
+    assert line.keys() <= names

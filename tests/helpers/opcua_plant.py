@@ -17,7 +17,8 @@ from asyncua import Server, ua
 
 START = datetime(2026, 3, 1, 14, 0)  # UTC, as OPC UA has it
 NAMES = ("l1", "l2", "q12", "q2", "inflow")
-OUTPUTS = {"l1.value": 0.0, "l1.sigma": 0.0, "l1.verdict": "", "verdict": "", "alarm": False, "watch": ""}
+OUTPUTS: dict[str, Any] = {"l1.value": 0.0, "l1.sigma": 0.0, "l1.verdict": "", "verdict": "", "alarm": False, "watch": ""}
+OUTPUTS |= {"l1.health": ua.Variant(0, ua.VariantType.Int32)}
 QUALITY = {0: ua.StatusCodes.Good, 1: ua.StatusCodes.UncertainSensorNotAccurate, 2: ua.StatusCodes.BadSensorFailure}
 
 

@@ -36,6 +36,7 @@ TOPICS = """
 retry = 0.05
 max_lag = inf
 status = "tanks/watch"
+events = "tanks/events"
 
 [read]
 l1 = { topic = "tanks/levels", value = "l1.pv", quality = "l1.q", time = "at" }
@@ -47,7 +48,7 @@ inflow = "tanks/inflow"
 [write]
 verdict = "tanks/verdict"
 alarm = "tanks/alarm"
-l1 = { value = "tanks/l1/value", sigma = "tanks/l1/sigma", verdict = "tanks/l1/verdict" }
+l1 = { value = "tanks/l1/value", sigma = "tanks/l1/sigma", verdict = "tanks/l1/verdict", health = "tanks/l1/health" }
 """
 
 
@@ -193,11 +194,13 @@ def test_topics_are_rows_and_a_broker_that_is_killed_and_comes_back_is_a_gap(bro
     assert found == expected and {"l1"} <= {e.get("hypothesis") for e in found}
     last_but_one = [e for e in found if e["event"] == "sample"][-2]
     with field.news:
-        assert field.news.wait_for(lambda: not field.watching.is_set() and len(field.heard) >= 9, PATIENCE)
+        assert field.news.wait_for(lambda: not field.watching.is_set() and len(field.heard) >= 11, PATIENCE)
     assert field.heard["tanks/l1/value"]["value"] == last_but_one["values"]["l1"] != rows[-2][1][0]
     assert field.heard["tanks/l1/sigma"]["value"] == last_but_one["sigma"]["l1"]
     assert field.heard["tanks/l1/verdict"]["value"] == "isolated" and field.heard["tanks/alarm"]["value"] is True
     assert "l1" in field.heard["tanks/verdict"]["value"]
+    assert field.heard["tanks/l1/health"]["value"] == last_but_one["device_health"]["l1"] == "OFF_SPEC"
+    assert without_stamps(json.dumps(field.heard["tanks/events"])) in [e for e in found if e["event"] != "sample"]
     stamp = datetime.fromisoformat(field.heard["tanks/alarm"]["time"])
     assert stamp == START + timedelta(seconds=rows[-2][0])
     field.end()

@@ -18,6 +18,7 @@ from toy_plants import changed, readings, tanks
 
 from fusion_sfdia.cli.main import main
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.diagnosis.device_health import DeviceHealth
 from fusion_sfdia.diagnosis.watch import Watch
 from fusion_sfdia.live import opcua
 from fusion_sfdia.live.nodes import load_nodes
@@ -44,7 +45,7 @@ inflow = "ns=2;s=inflow"
 [write]
 verdict = "ns=2;s=verdict"
 alarm = "ns=2;s=alarm"
-l1 = { value = "ns=2;s=l1.value", sigma = "ns=2;s=l1.sigma", verdict = "ns=2;s=l1.verdict" }
+l1 = { value = "ns=2;s=l1.value", sigma = "ns=2;s=l1.sigma", verdict = "ns=2;s=l1.verdict", health = "ns=2;s=l1.health" }
 """
 
 
@@ -146,6 +147,7 @@ def test_nodes_are_rows_and_a_server_that_is_killed_and_comes_back_is_a_gap(tmp_
     written = server.end()  # with the last row but one: the test has ended the last
     assert written["l1.verdict"] == "isolated" and "l1" in written["verdict"] and written["alarm"] is True
     assert written["l1.value"] == ends[0]["values"]["l1"] != rows[-2][1][0]
+    assert written["l1.health"] == DeviceHealth.OFF_SPEC == DeviceHealth[ends[0]["device_health"]["l1"]]
     assert written["l1.sigma"] == ends[0]["sigma"]["l1"] and 0 < written["l1.sigma"] != 0.01
     assert "no connection" in remarks[0] and remarks[1].endswith("connected again") and len(remarks) == 2
 
@@ -172,6 +174,7 @@ def test_without_readings_the_verdict_is_no_verdict_and_numbers_are_of_bad_quali
         written["verdict"] == "no verdict: no sensor has a reading; isolated before: l1" and written["l1.verdict"] == "missing"
     )
     assert written["alarm"] is None and written["l1.sigma"] is not None
+    assert written["l1.health"] == DeviceHealth.OFF_SPEC  # the event stands
     assert written["watch"] == "no verdict: no sensor has a reading"
 
 

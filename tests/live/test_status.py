@@ -58,6 +58,7 @@ def test_a_report_has_time_rows_missing_share_lag_and_verdict() -> None:
     assert json.loads(found.json) == {
         "status": "watching", "state": "healthy", "reason": "", "last_row": "2026-03-01 14:02:00+00:00",
         "rows": 25, "missing": 0.1, "lag": 2.0, "age": 0.0, "remarks": 3,
+        "device_health": dict.fromkeys(tanks().sensor_names, "NORMAL"),
     }  # fmt: skip
     assert watched(40, Wall())[0].report().conclusion.verdict is Verdict.SENSOR
     alone = watched(25, Wall(), seconds=True)[0].report()

@@ -968,4 +968,16 @@ MUTANTS = (
         "scale = min(scale, 1.0)",
         "tests/learning/tuning/test_tune.py::test_a_rate_that_the_log_cannot_count_is_extrapolated_and_stated",
     ),
+    Mutant(
+        "fusion_sfdia/diagnosis/alarms.py",
+        "QUIET = 600.0",
+        "QUIET = 599.0",
+        "tests/diagnosis/test_alarms.py::test_what_returns_after_ten_minutes_is_a_new_alarm_and_before_it_is_not",
+    ),
+    Mutant(
+        "fusion_sfdia/diagnosis/device_health.py",
+        "abs(event.sigmas) <= WITHIN",
+        "abs(event.sigmas) < WITHIN",
+        "tests/diagnosis/test_device_health.py::test_an_event_has_a_state_by_its_kind_and_size",
+    ),
 )
