@@ -18,7 +18,7 @@ from fusion_sfdia.benchmarks.chemical.support.monitoring import (
 )
 from fusion_sfdia.benchmarks.chemical.support.recordings import MEASUREMENTS
 from fusion_sfdia.benchmarks.chemical.support.tasks import SIGMAS, once, require_measurements, task_for_each
-from fusion_sfdia.report.content import Figure, Summary, Table
+from fusion_sfdia.report.content import Figure, ResultTable, Summary
 from fusion_sfdia.report.metrics import rate_over_runs
 from fusion_sfdia.report.plots import Bars, bars, legend_above, panels
 from fusion_sfdia.report.results import Row, row_of
@@ -124,14 +124,14 @@ def isolation_figure(rows: list[Row], names: list[str], size: str) -> Figure:
     )
 
 
-def told_table(settings: Settings, results: Results) -> Table:
+def told_table(settings: Settings, results: Results) -> ResultTable:
     """The smallest bias that can be told, by measurement."""
     lines = []
     for task, arrays in results[:1]:
         for number in task["measurements"]:
             sizes = arrays["told size"][:, number - 1]
             lines.append((MEASUREMENTS[number - 1][0], *(float(v) for v in sizes)))
-    return Table(
+    return ResultTable(
         "The smallest bias that can be told", ("measurement", *(f"sigma of the {s}" for s in SIGMAS)), tuple(lines),
         f"By identifiability of the identified model, in sigma; {settings['size']:g} sigma are judged where it is less. "
         "It takes every measurement as read in every sample, which the analyses (in feed, in product) are not.",

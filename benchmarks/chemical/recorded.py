@@ -22,7 +22,7 @@ from fusion_sfdia.benchmarks.chemical.support.recordings import (
 from fusion_sfdia.benchmarks.chemical.support.tasks import SIGMAS, once, require_measurements, task_for_each
 from fusion_sfdia.benchmarks.chemical.support.trials import JUDGED, LEARNT_RATE, ONSETS, WARM_UP, cases, trial
 from fusion_sfdia.learning.identification.whiteness import whiteness
-from fusion_sfdia.report.content import Figure, Summary, Table
+from fusion_sfdia.report.content import Figure, ResultTable, Summary
 from fusion_sfdia.report.metrics import rate_over_runs
 from fusion_sfdia.report.plots import Bars, bars, legend_above, panels
 from fusion_sfdia.report.results import Row, row_of
@@ -193,7 +193,7 @@ def bias_figure(rows: list[Row], names: list[str], sizes: list[str]) -> Figure:
     )
 
 
-def hypothesis_tables(results: Results) -> list[Table]:
+def hypothesis_tables(results: Results) -> list[ResultTable]:
     """The process hypotheses that stand longest in each recording with a process fault, of detectors that have any."""
     lines = []
     for task, arrays in results:
@@ -203,14 +203,14 @@ def hypothesis_tables(results: Results) -> list[Table]:
                 for best in np.argsort(-shares, kind="stable")[:LONGEST]:
                     lines.append((task["detector"], fault, cause, str(names[best]), float(shares[best])))
     header = ("detector", "recording", "cause", "process hypothesis", "share of samples")
-    return [Table("What the process verdicts name", header, tuple(lines), "Samples after the onset.")] if lines else []
+    return [ResultTable("What the process verdicts name", header, tuple(lines), "Samples after the onset.")] if lines else []
 
 
-def component_table(rows: list[Row]) -> Table:
+def component_table(rows: list[Row]) -> ResultTable:
     """The published misses beside ours."""
     found = pick(rows, metric="missed_detection_probability")
     lines = tuple((r.fault, r.condition, float(r.published or 0.0), r.value) for r in found)
-    return Table(
+    return ResultTable(
         "PCA of all 52 channels: samples missed after the onset", ("fault", "statistic", "published", "ours"), lines,
         "11 components of d00, limits at the 99 % quantile of d00_te.",
     )  # fmt: skip

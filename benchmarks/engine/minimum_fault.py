@@ -36,7 +36,7 @@ from fusion_sfdia.detectors.detector import run
 from fusion_sfdia.detectors.state import with_runs
 from fusion_sfdia.diagnosis.simulate import Recording
 from fusion_sfdia.models.marine_engine.published import minimum_fault
-from fusion_sfdia.report.content import Figure, Summary, Table
+from fusion_sfdia.report.content import Figure, ResultTable, Summary
 from fusion_sfdia.report.metrics import Estimate, mean_over_runs
 from fusion_sfdia.report.plots import Bars, bars, legend_above, panels
 from fusion_sfdia.report.results import Row
@@ -143,7 +143,7 @@ def minimum_summary(settings: Settings, results: Results) -> Summary:
                 size = Estimate(100 * float(arrays[method][0, j]), np.nan, np.nan, 1)
                 at = partial(row, NAME, detector, "bias", name, condition=INTERVALS[method])
                 rows.append(at("minimum_detectable_percent", size, minimum_fault(name)))
-    table = Table(
+    table = ResultTable(
         "Smallest detectable fault, percent of the nominal value, laid out as Table V: without noise / in a run (published)",
         ("detector", "agent", "j = 1", "j = 2", "j = 3"),
         tuple((d, f"I = {i}", *(_cell(rows, d, f"M({i},{j})") for j in (1, 2, 3))) for d in found for i in (1, 2, 3, 4)),

@@ -29,7 +29,7 @@ from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row, timeline
 from fusion_sfdia.diagnosis.fault_effects import apply_faults
 from fusion_sfdia.diagnosis.faults import Fault
 from fusion_sfdia.models.marine_engine.published import DELAYS, Delay, PublishedOffset
-from fusion_sfdia.report.content import Summary, Table
+from fusion_sfdia.report.content import ResultTable, Summary
 from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.report.sentences import listed, pick, span
@@ -99,14 +99,14 @@ def _metrics(answer: Response) -> dict[str, Estimate]:
     }
 
 
-def _table_vi(levels: list[float], found: Found) -> Table:
+def _table_vi(levels: list[float], found: Found) -> ResultTable:
     lines: list[tuple[str | float, ...]] = []
     for sensor in FAULTS:
         for group in (OWN, OTHERS):
             ours = [_range(found[sensor, group, level]) for level in levels]
             theirs = [_stated(DELAYS[sensor][GROUPS[group]].get(level)) for level in levels]
             lines += [(f"{sensor}, {group}", "ours", *ours), ("", "published", *theirs)]
-    return Table(
+    return ResultTable(
         "Detection delays, s (K24, Table VI)",
         ("fault, modules", "", *(f"{level:.0%}" for level in levels)),
         tuple(lines),

@@ -23,7 +23,7 @@ from fusion_sfdia.detectors.adaptive_thresholds.signatures import (
 from fusion_sfdia.models.marine_engine.modules import MODULES
 from fusion_sfdia.models.marine_engine.plant import SENSORS
 from fusion_sfdia.models.marine_engine.published import SIGNATURES, PrintedTable, signatures
-from fusion_sfdia.report.content import Figure, Summary, Table
+from fusion_sfdia.report.content import Figure, ResultTable, Summary
 from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.plots import panels
 from fusion_sfdia.report.results import Published, Row
@@ -122,12 +122,12 @@ def signature_summary(settings: Settings, results: Results) -> Summary:
     return Summary(rows, [figure], tables, highlights, remarks)
 
 
-def _table(table: PrintedTable, arrays: Arrays) -> Table:
+def _table(table: PrintedTable, arrays: Arrays) -> ResultTable:
     """As printed, and the columns that are not printed but have an entry here."""
     printed, faults = signatures(table), list(FAULTS)
     extra = [f for j, f in enumerate(faults) if f not in next(iter(printed.values())) and arrays["ours"][:, j].any()]
     columns = [*next(iter(printed.values())), *extra]
-    return Table(
+    return ResultTable(
         f"{table.name}: derived entries, with the printed entry in brackets where it differs",
         ("", *columns),
         tuple((line, *(_entry(arrays, i, faults.index(f)) for f in columns)) for i, line in enumerate(printed)),

@@ -32,7 +32,7 @@ from fusion_sfdia.benchmarks.engine.support.virtual_trials import (
 )
 from fusion_sfdia.detectors.adaptive_thresholds.adaptive_observer import Rates, adaptive_rate
 from fusion_sfdia.models.marine_engine.published import K22_GAINS
-from fusion_sfdia.report.content import Summary, Table
+from fusion_sfdia.report.content import ResultTable, Summary
 from fusion_sfdia.report.metrics import Estimate, bootstrap_over_runs, mean_over_runs, share
 from fusion_sfdia.report.results import Published, Row
 from fusion_sfdia.report.sentences import pick, span
@@ -113,7 +113,7 @@ def sensor_summary(settings: Settings, results: Results) -> Summary:
     found = by_kind(results)
     rows = sensor_rows(found, settings["duration"])
     known = [v for v in VARIANTS if v in found]
-    table = Table(
+    table = ResultTable(
         "Mean absolute percentage error of the fault's size, percent",
         ("module", *known, "paper"),
         tuple((n, *(value_of(rows, "fault_mape_percent", n, v) for v in known), f"{MAPE[i]:g}") for i, n in enumerate(SIZED)),

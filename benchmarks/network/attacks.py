@@ -22,7 +22,7 @@ from fusion_sfdia.models.power_network.operation import AreaFault
 from fusion_sfdia.models.power_network.plant import power_network
 from fusion_sfdia.models.power_network.published import ATTACKS, SIGN_FLIP
 from fusion_sfdia.models.power_network.simulation import NetworkSample
-from fusion_sfdia.report.content import Summary, Table
+from fusion_sfdia.report.content import ResultTable, Summary
 from fusion_sfdia.report.metrics import mean_over_runs, share
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.report.sentences import span
@@ -102,7 +102,7 @@ def attack_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Su
     }
     isolated = {n: {f: cells[n, m, f]["isolated"] for f in settings["faults"]} for n, m in shown}
     figures = [answers_figure(by_set), false_isolation_figure(isolated, OWN, SENSOR_DETECTOR)]
-    table = Table(
+    table = ResultTable(
         f"Faults of area {AREA} from {ONSET:g} s on: median [5 %-95 %] of the runs, s, and the answer at the end",
         ("process noise", "thresholds", "fault", "detected", "first answer", *(f"by {s}" for s in SETS), "sensor isolated"),
         tuple(

@@ -23,7 +23,7 @@ from fusion_sfdia.detectors.stochastic_thresholds.consensus import MODES
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, network_model
 from fusion_sfdia.models.power_network.operation import Switch
 from fusion_sfdia.models.power_network.published import DETERMINISTIC_MISSES, GOVERNOR, PLUGGED_IN
-from fusion_sfdia.report.content import Summary, Table
+from fusion_sfdia.report.content import ResultTable, Summary
 from fusion_sfdia.report.metrics import mean_over_runs, share
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.report.sentences import pick, span
@@ -119,7 +119,7 @@ def governor_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> 
             {"detection": GOVERNOR.detected}, settings["duration"],
         ),
     ]  # fmt: skip
-    table = Table(
+    table = ResultTable(
         "Detection of the slow governor, median [5 %-95 %] of the runs, s",
         ("process noise", "thresholds", "single alarm", ALARM_RULES[1], "deterministic bound", "published"),
         tuple(

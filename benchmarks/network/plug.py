@@ -16,8 +16,8 @@ from fusion_sfdia.benchmarks.network.support.plug_figures import (
     MANNERS,
     PHASES,
     PLACES,
-    Alarm,
     Changed,
+    FirstAlarm,
     alarm_figure,
     locality_figure,
     remarks,
@@ -138,7 +138,7 @@ def plug_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summ
     """Which areas change, and alarms by manner, phase and place."""
     names = network_model().names
     changed: dict[Changed, Row] = {}
-    alarms: dict[Alarm, Row] = {}
+    alarms: dict[FirstAlarm, Row] = {}
     rows: list[Row] = []
     local: dict[str, Arrays] = {}
     curves: dict[tuple[str, str], Array] = {}
@@ -160,16 +160,16 @@ def plug_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summ
     return Summary(rows, figures, tables(changed, alarms), sentences[:1], sentences[1:])
 
 
-def _alarm_estimates(noise: str, manner: str, alarm: Array, names: tuple[str, ...]) -> dict[Alarm, Estimate]:
+def _alarm_estimates(noise: str, manner: str, alarm: Array, names: tuple[str, ...]) -> dict[FirstAlarm, Estimate]:
     """Alarms per step, and runs with three consecutive ones, by phase and place; alarm (K, B, N)."""
     found = {}
     for phase, (start, end) in PHASES.items():
         for place, who in places(names).items():
             some = alarm[start:end][..., who]
             rate = rate_over_runs(some.sum(axis=(0, 2)), np.full(some.shape[1], some.shape[0] * some.shape[2]))
-            found[Alarm(place, phase, manner, noise)] = rate
+            found[FirstAlarm(place, phase, manner, noise)] = rate
             run = (some[2:] & some[1:-1] & some[:-2]).any(axis=(0, 2))
-            found[Alarm(place, phase, manner, noise, "false_confirmation_share")] = share(np.asarray(run))
+            found[FirstAlarm(place, phase, manner, noise, "false_confirmation_share")] = share(np.asarray(run))
     return found
 
 

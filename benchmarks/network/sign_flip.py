@@ -28,7 +28,7 @@ from fusion_sfdia.detectors.stochastic_thresholds.consensus import MODES
 from fusion_sfdia.detectors.stochastic_thresholds.fault_hypotheses import exclusion_alpha
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, network_model
 from fusion_sfdia.models.power_network.published import ATTACKS, SIGN_FLIP
-from fusion_sfdia.report.content import Summary, Table
+from fusion_sfdia.report.content import ResultTable, Summary
 from fusion_sfdia.report.metrics import mean_over_runs, share
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.report.sentences import pick, span
@@ -100,7 +100,7 @@ def flip_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summ
     ]  # fmt: skip
     trace = next(iter(cells.values()))
     figures = [area_residuals(trace), *reconfigured_operation(trace), *figures]
-    table = Table(
+    table = ResultTable(
         "Sign flip of area 5, median [5 %-95 %] of the runs, s",
         ("process noise", "thresholds", "excluded by", "detected", "isolated", "first answer correct", "true fault excluded"),
         tuple(

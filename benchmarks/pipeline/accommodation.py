@@ -12,7 +12,7 @@ from matplotlib.figure import Figure as Drawing
 from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
 from fusion_sfdia.benchmarks.pipeline.support.trials import COMMON, PAPER, STRENGTHS, Results, tasks, trial
 from fusion_sfdia.models.gas_pipeline.published import FAULTS, QUANTITIES
-from fusion_sfdia.report.content import Figure, Summary, Table
+from fusion_sfdia.report.content import Figure, ResultTable, Summary
 from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.plots import bars, legend_above, panels
 from fusion_sfdia.report.results import Row
@@ -90,7 +90,7 @@ def accommodation_summary(settings: Settings, results: Results) -> Summary:
     )
 
 
-def readings_table(rows: list[Row]) -> Table:
+def readings_table(rows: list[Row]) -> ResultTable:
     """Error of the faulty sensor's reading: as measured, replaced by each detector, and without the fault."""
     lines: list[tuple[str | float, ...]] = []
     for quantity, unit in UNITS.items():
@@ -101,7 +101,7 @@ def readings_table(rows: list[Row]) -> Table:
                 any_of = {r.metric: r.value for r in sorted(of, key=lambda r: r.n)}  # of the detector with the most runs left
                 replaced = [value.get((d, "rmse"), float("nan")) for d in NAMES]
                 lines.append((f"{quantity}, {unit}", fault, any_of["rmse_unaccommodated"], *replaced, any_of["rmse_healthy"]))
-    return Table(
+    return ResultTable(
         "Reading of the faulty sensor while it is faulty: root mean square error",
         ("quantity", "fault", "as measured", *NAMES, "without the fault"),
         tuple(lines),

@@ -16,7 +16,7 @@ from fusion_sfdia.detectors.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.learning.builders import PAPER_FILTERS
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
-from fusion_sfdia.report.content import Figure, Summary, Table
+from fusion_sfdia.report.content import Figure, ResultTable, Summary
 from fusion_sfdia.report.metrics import Estimate, mean_over_runs, rate_over_runs
 from fusion_sfdia.report.plots import bars, legend_above, panels
 from fusion_sfdia.report.results import Row
@@ -104,12 +104,12 @@ def consistency_summary(settings: Settings, results: Results) -> Summary:
                 )
             )
     tables = [
-        Table(
+        ResultTable(
             "Normalised estimation error squared per state (1 is consistent)",
             ("detector", "states", "NEES", "low", "high", "runs"),
             tuple(covariance),
         ),
-        Table(
+        ResultTable(
             "Audit of the false-alarm budget: alarm onsets per step over all 63 sensors",
             ("detector", "claimed", "measured", "low", "high", "kept"),
             tuple(audit),

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from fusion_sfdia.report.content import Table
+from fusion_sfdia.report.content import ResultTable
 from fusion_sfdia.report.results import Row, read_rows, rounded, write_rows
 from fusion_sfdia.study.audit import RIGHT_EVENT
 from fusion_sfdia.study.robustness_report import (
@@ -82,7 +82,7 @@ def cell(value: object) -> str:
     return f"{value:.{DIGITS}g}" if isinstance(value, float) else str(value).replace("|", "\\|")
 
 
-def markdown(table: Table) -> str:
+def markdown(table: ResultTable) -> str:
     """A table with its title and what is to be known of it."""
     lines = [table.header, ["---"] * len(table.header), *([cell(c) for c in row] for row in table.rows)]
     body = "\n".join("| " + " | ".join(line) + " |" for line in lines)

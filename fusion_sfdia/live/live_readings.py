@@ -34,7 +34,7 @@ class _AmbiguousError(ValueError):
     """A comma of two meanings."""
 
 
-class Reading(NamedTuple):
+class LiveReading(NamedTuple):
     """A number in the unit of the plant, NaN where it is missing; fault: why it cannot be used, "" where it says so itself."""
 
     number: float
@@ -55,7 +55,7 @@ class Reader:
     numbers: Numbers = NUMBERS
     scale: float = 1.0
 
-    def __call__(self, cell: Any) -> Reading:
+    def __call__(self, cell: Any) -> LiveReading:
         """The reading that a cell states: a number, or its text, with or without a unit. Nothing makes it raise."""
         if isinstance(cell, str):
             cell = cell.strip()
@@ -66,19 +66,21 @@ class Reader:
             ):
                 raise ValueError("too large")
         except _AmbiguousError:
-            return Reading(math.nan, "a comma that is a decimal mark or separates thousands; write a point, or state decimal")
+            return LiveReading(
+                math.nan, "a comma that is a decimal mark or separates thousands; write a point, or state decimal"
+            )
         except (ValueError, TypeError, ArithmeticError):
             if isinstance(cell, str) and cell.casefold() in MISSING:
-                return Reading(math.nan)
-            return Reading(math.nan, self._why(cell))
+                return LiveReading(math.nan)
+            return LiveReading(math.nan, self._why(cell))
         if not unit or self.unit is None:
-            return Reading(self._finite(self.conversion(value)))
+            return LiveReading(self._finite(self.conversion(value)))
         try:
             if len(unit) > LONGEST_UNIT or POWERS.search(unit):
                 raise ValueError(f"{shown(unit)} is no unit")
-            return Reading(self._finite(conversion(unit, self.unit, self.scale)(value)))
+            return LiveReading(self._finite(conversion(unit, self.unit, self.scale)(value)))
         except ValueError as error:
-            return Reading(math.nan, str(error))
+            return LiveReading(math.nan, str(error))
 
     def _quantity(self, cell: Any) -> tuple[float, str]:
         """Number and unit of a cell, as the numbers are written or, where that is a point, with a comma that is clearly one."""

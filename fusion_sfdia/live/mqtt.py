@@ -19,7 +19,7 @@ from fusion_sfdia.live.lines import health_results, results
 from fusion_sfdia.live.saving import SavedWatch
 from fusion_sfdia.live.status import Report, Status
 from fusion_sfdia.live.topics import Topics
-from fusion_sfdia.live.values import Value, Values
+from fusion_sfdia.live.values import TimedValue, Values
 
 QUEUED = 10_000  # messages
 CONNECTING = 5.0  # s
@@ -56,7 +56,7 @@ def watch_broker(saved: SavedWatch, url: str, topics: Topics, *, allow_plain_pas
     """
     host, port, tls = address(url)
     security.require_encrypted(topics.password is not None, tls, allow_plain_password, "use mqtts://")
-    bridge = Bridge(saved, url, topics)
+    bridge = MqttBridge(saved, url, topics)
     if bridge.context is not None:
         security.require_known_broker(host, port, bridge.context, CONNECTING)
     bridge.client.connect_async(host, port)
@@ -71,7 +71,7 @@ def watch_broker(saved: SavedWatch, url: str, topics: Topics, *, allow_plain_pas
         bridge.client.loop_stop()
 
 
-class Bridge:
+class MqttBridge:
     """Between the topics of a broker and a watch. The callbacks run in the thread of the client, all else in the caller's."""
 
     def __init__(
@@ -97,7 +97,7 @@ class Bridge:
             together=together,
             sources={name: source.topic for name, source in sources.items()},
         )
-        self.rows = Rows(values, len(topics.read), together)
+        self.rows = TopicRows(values, len(topics.read), together)
         self.queue: Queue[Message] = Queue(QUEUED)
         self.remarks: Queue[str] = Queue(100)
         self.lost, self.is_up = 0, True
@@ -212,7 +212,7 @@ class Bridge:
                     pass
 
 
-class Rows:
+class TopicRows:
     """Rows from values that arrive one after another.
 
     A row has the values whose stamps are within `together` s of its first one. It is complete when each of the `count` names
@@ -222,11 +222,11 @@ class Rows:
 
     def __init__(self, values: Values, count: int, together: float) -> None:
         self.values, self.count, self.together = values, count, together
-        self.latest: dict[str, Value] = {}
+        self.latest: dict[str, TimedValue] = {}
         self.fresh: set[str] = set()
         self.first: datetime | None = None  # stamp of the row that is not complete
 
-    def take(self, name: str, value: Value) -> Iterator[tuple[datetime, Any, Any]]:
+    def take(self, name: str, value: TimedValue) -> Iterator[tuple[datetime, Any, Any]]:
         """The rows that a value completes, none, one or two; a repeated value is dropped."""
         if (counts := self.values.checked(name, value)) is None or counts.stamp is None:
             return

@@ -26,7 +26,7 @@ from fusion_sfdia.plant.plant import Plant
 UNCERTAIN = ("use", "missing")
 
 
-class Source(NamedTuple):
+class NodeSource(NamedTuple):
     """A node; unit: of its numbers, "" for the plant's; states: the numbers of texts and of true and false."""
 
     node: str
@@ -38,7 +38,7 @@ class Source(NamedTuple):
 class Nodes(Connection):
     """Nodes by their OPC UA ids, such as "ns=2;s=TT-101.PV", and how they are read.
 
-    read: the node of each sensor and input, or a table of the fields of `Source`. write: of some sensors {"value", "sigma",
+    read: the node of each sensor and input, or a table of the fields of `NodeSource`. write: of some sensors {"value", "sigma",
     "verdict", "health": node}, and the nodes "verdict" and "alarm" of the whole; health is an Int32 by the enumeration
     DeviceHealth of OPC UA for Devices. status: a node for the verdict of the moment as a
     text, "blind" where no row comes. uncertain: whether values of that quality are used ("use") or "missing". stale: seconds
@@ -64,9 +64,9 @@ class Nodes(Connection):
     trusted: str | None = None
 
     @property
-    def sources(self) -> dict[str, Source]:
+    def sources(self) -> dict[str, NodeSource]:
         """Where the value of each sensor and input comes from."""
-        return {name: Source(at) if isinstance(at, str) else Source(**at) for name, at in self.read.items()}
+        return {name: NodeSource(at) if isinstance(at, str) else NodeSource(**at) for name, at in self.read.items()}
 
     def reader(self, name: str, unit: str) -> Reader:
         """How the values of a sensor or an input in this unit are read; ValueError for a unit that does not convert to it."""
@@ -95,7 +95,7 @@ def load_nodes(path: str | Path, plant: Plant) -> Nodes:
 def _require_source(where: str, value: Any) -> None:
     if not isinstance(value, dict):
         return _require_node(where, value)
-    require_names(f"{where}:", value, Source._fields)
+    require_names(f"{where}:", value, NodeSource._fields)
     if not isinstance(value.get("unit", ""), str):
         raise ValueError(f"{where}: unit is {shown(value['unit'])}; expected a unit, such as 'degC'")
     require_states(where, value)

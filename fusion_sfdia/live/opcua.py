@@ -20,7 +20,7 @@ from fusion_sfdia.live.nodes import Nodes
 from fusion_sfdia.live.saving import SavedWatch
 from fusion_sfdia.live.security import EXAMPLE, SCHEMES, UntrustedError, address, require_encrypted, secure
 from fusion_sfdia.live.status import Report, Status
-from fusion_sfdia.live.values import Value, Values
+from fusion_sfdia.live.values import TimedValue, Values
 from fusion_sfdia.plant.plant import Plant
 
 FIRST_YEAR = 1970  # of time stamps; OPC UA counts from 1601, which stands for none
@@ -46,7 +46,7 @@ async def watch_server(saved: SavedWatch, url: str, nodes: Nodes, *, allow_plain
     encrypted = nodes.security is not None and ",SignAndEncrypt," in nodes.security
     cure = f"state security = {EXAMPLE}"
     require_encrypted(nodes.password is not None, encrypted, allow_plain_password, cure)
-    bridge, is_up, ever = Bridge(saved, url, nodes), True, False
+    bridge, is_up, ever = OpcuaBridge(saved, url, nodes), True, False
     while True:
         client = None
         try:
@@ -68,7 +68,7 @@ async def watch_server(saved: SavedWatch, url: str, nodes: Nodes, *, allow_plain
         await asyncio.sleep(nodes.retry)
 
 
-class Bridge:
+class OpcuaBridge:
     """Between the nodes of a server and a watch."""
 
     def __init__(
@@ -137,7 +137,7 @@ class Bridge:
         }
         return self.values.row({name: value for name, value in checked.items() if value is not None})
 
-    def _value(self, name: str, found: Any, arrived: datetime) -> Value:
+    def _value(self, name: str, found: Any, arrived: datetime) -> TimedValue:
         """What an OPC UA data value states; its quality decides whether it counts, and its source time where it is new."""
         number, fault = np.nan, ""
         if self._counts(found.StatusCode) and found.Value is not None:
@@ -146,9 +146,9 @@ class Bridge:
             fault = f"node {self.nodes.sources[name].node}: value {shown(found.Value.Value)}: {fault}"
         stamp = _aware(found.SourceTimestamp or found.ServerTimestamp)
         if stamp is None or stamp.year < FIRST_YEAR:
-            return Value(number, arrived, arrived, has_time=False, fault=fault)
+            return TimedValue(number, arrived, arrived, has_time=False, fault=fault)
         retained = name not in self.stamps or self.stamps[name] == stamp
-        return Value(number, stamp, arrived, retained=retained, fault=fault)
+        return TimedValue(number, stamp, arrived, retained=retained, fault=fault)
 
     def _counts(self, status: Any) -> bool:
         return status is None or status.is_good() or (self.nodes.uncertain == "use" and status.is_uncertain())

@@ -22,7 +22,7 @@ from fusion_sfdia.live.address_tables import (
 )
 from fusion_sfdia.live.live_readings import DoubleKeyError, Reader, json_value
 from fusion_sfdia.live.security import Connection, require_connection
-from fusion_sfdia.live.values import MAX_LAG, MAX_LEAD, Value
+from fusion_sfdia.live.values import MAX_LAG, MAX_LEAD, TimedValue
 from fusion_sfdia.logs.conversion import conversion
 from fusion_sfdia.logs.log_map import OPC_DA, OPC_UA, LogMap
 from fusion_sfdia.logs.numbers import Numbers, good_codes
@@ -36,7 +36,7 @@ BAD = ("bad", "uncertain", "invalid", "error", "false", "fault", "not")  # of te
 MOST_KEYS, DEEPEST = 5, 3
 
 
-class Source(NamedTuple):
+class TopicSource(NamedTuple):
     """A topic, and where its JSON object has value, time and quality: keys, joined by dots where objects are nested.
 
     unit: of the numbers, "" for the plant's. states: the numbers of texts and of true and false.
@@ -54,15 +54,15 @@ class Source(NamedTuple):
 class Topics(Connection):
     """Topics, and how their payloads are read.
 
-    read: the topic of each sensor and input, or a table of the fields of `Source`. write: of some sensors {"value", "sigma",
-    "verdict", "health": topic}, and the topics "verdict" and "alarm" of the whole. status: a topic with the `Report` of the
-    watch as JSON, or "gone". events: a topic for the JSON line of each change. good: values of quality that are good, upper
-    and lower case alike, of texts also longer ones that begin so; "opc-da" or "opc-ua" for the codes of these; any other is
-    bad. epoch: unit of times that are numbers since 1970 where their size does not tell. time_format, tz: of times in text,
-    as format and tz of a LogMap. decimal: the mark of decimals
-    in texts. together: seconds by which stamps of one row may differ, None for half the plant's dt. stale, max_lead, max_lag:
-    as in `Values`. retry: seconds between attempts to connect; qos: quality of service, 0, 1 or 2. ca: file of the authority
-    of the broker, for TLS; certificate, key: files of an own certificate. The rest of the connection: see `Connection`.
+    read: the topic of each sensor and input, or a table of the fields of `TopicSource`. write: of some sensors {"value",
+    "sigma", "verdict", "health": topic}, and the topics "verdict" and "alarm" of the whole. status: a topic with the `Report`
+    of the watch as JSON, or "gone". events: a topic for the JSON line of each change. good: values of quality that are good,
+    upper and lower case alike, of texts also longer ones that begin so; "opc-da" or "opc-ua" for the codes of these; any
+    other is bad. epoch: unit of times that are numbers since 1970 where their size does not tell. time_format, tz: of times
+    in text, as format and tz of a LogMap. decimal: the mark of decimals in texts. together: seconds by which stamps of one
+    row may differ, None for half the plant's dt. stale, max_lead, max_lag: as in `Values`. retry: seconds between attempts to
+    connect; qos: quality of service, 0, 1 or 2. ca: file of the authority of the broker, for TLS; certificate, key: files of
+    an own certificate. The rest of the connection: see `Connection`.
     """
 
     read: dict[str, Any]
@@ -85,9 +85,9 @@ class Topics(Connection):
     key: str | None = None
 
     @property
-    def sources(self) -> dict[str, Source]:
+    def sources(self) -> dict[str, TopicSource]:
         """Where the value of each sensor and input comes from."""
-        return {name: Source(at) if isinstance(at, str) else Source(**at) for name, at in self.read.items()}
+        return {name: TopicSource(at) if isinstance(at, str) else TopicSource(**at) for name, at in self.read.items()}
 
     @cached_property
     def times(self) -> LogMap:
@@ -99,7 +99,7 @@ class Topics(Connection):
         source = self.sources[name]
         return Reader(unit, conversion(source.unit, unit), Numbers(self.decimal, states=source.states))
 
-    def value(self, source: Source, payload: bytes, arrived: datetime | None, read: Reader | None = None) -> Value:
+    def value(self, source: TopicSource, payload: bytes, arrived: datetime | None, read: Reader | None = None) -> TimedValue:
         """What a payload states: a number, with or without a unit, or a JSON object; NaN for anything else and of bad quality.
 
         arrived: the time where the payload has none. read: how its value is read.
@@ -109,14 +109,14 @@ class Topics(Connection):
             text = payload.decode().strip()
             found = json_value(text)
         except DoubleKeyError as error:
-            return Value(np.nan, arrived, arrived, False, fault=self._unusable(source, payload, str(error)))
+            return TimedValue(np.nan, arrived, arrived, False, fault=self._unusable(source, payload, str(error)))
         except UnicodeDecodeError:
-            return Value(np.nan, arrived, arrived, False, fault=self._unusable(source, payload, "no text in UTF-8"))
+            return TimedValue(np.nan, arrived, arrived, False, fault=self._unusable(source, payload, "no text in UTF-8"))
         except ValueError:
             found = text
         if not isinstance(found, dict):
             number, fault = read(found)
-            return Value(number, arrived, arrived, False, fault=fault and self._unusable(source, payload, fault))
+            return TimedValue(number, arrived, arrived, False, fault=fault and self._unusable(source, payload, fault))
         number, fault = self._number(source, found, read)
         stamp, has_time = arrived, False
         if (given := _at(found, source.time)) not in NO_TIME or isinstance(given, bool):
@@ -124,9 +124,9 @@ class Topics(Connection):
             if stamp is None:
                 expected = f"a time as {self.time_format}" if self.time_format else "ISO 8601, or a number since 1970"
                 fault = f"its time {shown(given)} is none; expected {expected}: state time_format for another form"
-        return Value(number, stamp, arrived, has_time, fault=fault and self._unusable(source, payload, fault))
+        return TimedValue(number, stamp, arrived, has_time, fault=fault and self._unusable(source, payload, fault))
 
-    def _number(self, source: Source, found: dict[str, Any], read: Reader) -> tuple[float, str]:
+    def _number(self, source: TopicSource, found: dict[str, Any], read: Reader) -> tuple[float, str]:
         """The number of an object, and why it cannot be used, "" where it can or is stated to be missing."""
         if (value := _at(found, source.value)) is ABSENT:
             keys = sorted(_keys(found), key=lambda key: key.casefold() != source.value.casefold())
@@ -166,7 +166,7 @@ class Topics(Connection):
             "a list, 'opc-da' or 'opc-ua'"
         )
 
-    def _unusable(self, source: Source, payload: bytes, why: str) -> str:
+    def _unusable(self, source: TopicSource, payload: bytes, why: str) -> str:
         return f"topic {source.topic}: payload {shown(payload.decode(errors='replace'))}: {why}"
 
     def _stamp(self, stamp: Any, arrived: datetime | None) -> datetime | None:
@@ -211,8 +211,8 @@ def load_topics(path: str | Path, plant: Plant) -> Topics:
 def _require_source(where: str, value: Any) -> None:
     if not isinstance(value, dict):
         return _require_topic(where, value)
-    require_names(f"{where}:", value, Source._fields)
-    for what in Source._fields:
+    require_names(f"{where}:", value, TopicSource._fields)
+    for what in TopicSource._fields:
         if what not in ("topic", "states") and not isinstance(value.get(what, ""), str):
             expected = "a unit, such as 'degC'" if what == "unit" else "a key, such as 'pv.value'"
             raise ValueError(f"{where}: {what} is {shown(value[what])}; expected {expected}")
@@ -222,7 +222,7 @@ def _require_source(where: str, value: Any) -> None:
 
 def _address(value: Any) -> tuple[str, str]:
     """The topic, and the key of the value on it."""
-    source = Source(value) if isinstance(value, str) else Source(**value)
+    source = TopicSource(value) if isinstance(value, str) else TopicSource(**value)
     return source.topic, source.value
 
 

@@ -23,7 +23,7 @@ CONFIRMING = 3  # recent leads as large, with which a lead is that of clocks, no
 YEARS = (1971, 9000)  # of times that are stated; others are no times
 
 
-class Value(NamedTuple):
+class TimedValue(NamedTuple):
     """A reading or input, NaN where it is missing, with the time that its source states.
 
     arrived: when it came, None where that is not known. has_time: whether the source states a time; of one that does not,
@@ -68,7 +68,7 @@ class Values:
         self.sources = sources or {}
         self.said: set[tuple[str, str]] = set()  # what is remarked once
 
-    def checked(self, name: str, value: Value) -> Value | None:
+    def checked(self, name: str, value: TimedValue) -> TimedValue | None:
         """The value as it counts, with a stamp; None where it is no reading: without a time, and perhaps sent long ago.
 
         One whose time cannot be used is missing from its arrival on; of a clock that is steadily ahead of the others the time
@@ -93,7 +93,7 @@ class Values:
         assert value.arrived is not None
         return value._replace(stamp=self.clocks.of_arrival(value.arrived))
 
-    def row(self, values: Mapping[str, Value], fresh: set[str] | None = None) -> tuple[datetime, Array, Array] | None:
+    def row(self, values: Mapping[str, TimedValue], fresh: set[str] | None = None) -> tuple[datetime, Array, Array] | None:
         """The time stamp, y (N,) and u (m,), of which the newest value states the time; None where none is newer than the
         row before. fresh: the names whose values state it, None for all; those whose source has a time go first.
         """
@@ -142,7 +142,7 @@ class SourceClocks:
         self.latest: datetime | None = None  # the newest stamp that counts, or of a row
         self.offset = 0.0  # s, its lead
 
-    def fault(self, source: str, value: Value) -> str:
+    def fault(self, source: str, value: TimedValue) -> str:
         """Why the stamp of a value does not count, "" where it does."""
         if value.stamp is None:
             return "no time"
@@ -156,7 +156,7 @@ class SourceClocks:
         self.verdicts[source] = why = self._fault(source, value.stamp, value)
         return why
 
-    def _fault(self, source: str, stamp: datetime, value: Value) -> str:
+    def _fault(self, source: str, stamp: datetime, value: TimedValue) -> str:
         assert value.arrived is not None
         lead = (stamp - value.arrived).total_seconds()
         if not value.retained:
@@ -178,7 +178,7 @@ class SourceClocks:
             self.latest, self.offset = stamp, lead
         return ""
 
-    def is_ahead(self, value: Value) -> bool:
+    def is_ahead(self, value: TimedValue) -> bool:
         """Whether the clock of a value whose stamp counts is ahead of the others: if its source fell silent, their values
         would be late.
         """
@@ -187,7 +187,7 @@ class SourceClocks:
         of_most = sorted(self.leads)[len(self.leads) // 4]
         return (value.stamp - value.arrived).total_seconds() > max(of_most, 0.0) + self.tolerance
 
-    def remark(self, source: str, value: Value) -> str | None:
+    def remark(self, source: str, value: TimedValue) -> str | None:
         """A line on the clock of a source whose last leads are all on one side, by more than the tolerance; else None."""
         leads = self.of.get(source, ())
         if len(leads) < OF_ONE:

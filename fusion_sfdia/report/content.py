@@ -33,7 +33,7 @@ Interval = tuple[float, float, float, int]  # a value, its 95 % interval, and th
 
 
 @dataclass(frozen=True)
-class Table:
+class ResultTable:
     """A table laid out as in a paper; cells are text, numbers (shown with 4 digits) or numbers with their interval.
 
     caption: what to see; method: how it was made, which the reader has to open. folded: whether that holds for the table, too.
@@ -58,7 +58,7 @@ class Chapter:
     title: str
     text: Sequence[str] = ()
     figures: Sequence[Figure] = ()
-    tables: Sequence[Table] = ()
+    tables: Sequence[ResultTable] = ()
     method: Sequence[str] = ()
 
     def __post_init__(self) -> None:
@@ -75,7 +75,7 @@ class Summary:
 
     rows: Sequence[Row]
     figures: Sequence[Figure] = ()
-    tables: Sequence[Table] = ()
+    tables: Sequence[ResultTable] = ()
     highlights: Sequence[str] = ()
     remarks: Sequence[str] = ()
     chapters: Sequence[Chapter] = ()

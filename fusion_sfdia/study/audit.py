@@ -20,7 +20,7 @@ from fusion_sfdia.plant.gaps import Gap, Track, bridged
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.metrics import Estimate, proportion, rate_over_runs
 from fusion_sfdia.report.results import Row, row_of
-from fusion_sfdia.study.error_protocol import GROUPS, STEPS, Case, Trial, cases_for, trial
+from fusion_sfdia.study.error_protocol import GROUPS, STEPS, Case, ErrorTrial, cases_for, trial
 from fusion_sfdia.study.experiments.workers import in_processes
 
 Array = NDArray[Any]
@@ -106,7 +106,7 @@ def outcomes(
 
 
 def judged_trial(
-    detector: Detector, case: Case, made: Trial, track: Track, gaps: tuple[Gap, ...], decisions: Decision
+    detector: Detector, case: Case, made: ErrorTrial, track: Track, gaps: tuple[Gap, ...], decisions: Decision
 ) -> TrialOutcome:
     """What the decisions on a trial are worth; events, which take a second look at the readings, only where something is
     isolated or the process is named.

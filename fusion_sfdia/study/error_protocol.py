@@ -97,7 +97,7 @@ def stated_cases(cases: ComparisonCases) -> tuple[Case, ...]:
     )
 
 
-class Trial(NamedTuple):
+class ErrorTrial(NamedTuple):
     """A log, and the truth: faulty (K, N), whether the process differs by a fault of it (K,)."""
 
     log: Log
@@ -118,7 +118,7 @@ def cases_for(plant: Plant, groups: Sequence[str] = GROUPS) -> tuple[Case, ...]:
     )
 
 
-def trial(plant: Plant, case: Case, seed: int, steps: int = STEPS) -> Trial:
+def trial(plant: Plant, case: Case, seed: int, steps: int = STEPS) -> ErrorTrial:
     """The readings of a case on a plant; the same for the same seed. ArithmeticError where the truth leaves its limits.
 
     They come from the high-fidelity model of the plant, where it has one, unless parameters, equations or the start differ:
@@ -157,7 +157,7 @@ def trial(plant: Plant, case: Case, seed: int, steps: int = STEPS) -> Trial:
     process = np.array([any(v.at(k - plant.dt, plant.dt) != 0 for v in changes) for k in t.tolist()])
     if isinstance(case.stated, ProcessFaultCase):
         process |= t > float(t[steps // 3]) - plant.dt / 2
-    return Trial(Log(t, found.y, made.u_of_runs[:, 0]), found.active, process)
+    return ErrorTrial(Log(t, found.y, made.u_of_runs[:, 0]), found.active, process)
 
 
 def _stated(plant: Plant, case: MismatchCase | ProcessFaultCase, steps: int, seed: int) -> Recording:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fusion_sfdia.report.content import Chapter, Figure, Interval, Summary, Table
+from fusion_sfdia.report.content import Chapter, Figure, Interval, ResultTable, Summary
 from fusion_sfdia.report.plots import panels
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.study.audit import DELAY, LEVELS, METRICS, RIGHT_EVENT
@@ -98,7 +98,7 @@ def summary_numbers(rows: Sequence[Row], plant: str, detector: str) -> tuple[flo
     )
 
 
-def overview(rows: Sequence[Row]) -> Table:
+def overview(rows: Sequence[Row]) -> ResultTable:
     """All detectors: each cell has a value a registered plant, and one that is the mean of the random plants."""
     plants = names_in(rows, "plant")
     own, drawn = ([p for p in plants if p.startswith(RANDOM) == is_drawn] for is_drawn in (False, True))
@@ -116,7 +116,7 @@ def overview(rows: Sequence[Row]) -> Table:
         *("right, process faults", "right events, confidence .9 to 1"),
     )
     shown = ", ".join([*own, *([f"mean of {len(drawn)} random plants"] if drawn else [])])
-    return Table(
+    return ResultTable(
         "All detectors",
         header,
         tuple(lines),
@@ -135,7 +135,7 @@ def beside_default(rows: Sequence[Row], plant: str) -> list[str]:
     return [*([DEFAULT] if DEFAULT in shares else []), *rivals[:RIVALS]]
 
 
-def cases_table(rows: Sequence[Row], plant: str) -> Table:
+def cases_table(rows: Sequence[Row], plant: str) -> ResultTable:
     """The default detector and its best rivals, case by case."""
     index = index_of(rows)
     lines: list[tuple[str | Interval, ...]] = []
@@ -150,10 +150,10 @@ def cases_table(rows: Sequence[Row], plant: str) -> Table:
             wait = "-" if delay is None or not np.isfinite(delay.value) else f"{delay.value:.0f}"
             lines.append((case, detector, (first.value, first.low, first.high, first.n), *others, wait))
     header = ("case", "detector", "false isolation", "right", "undecided", "wrong", "missed", "delay, rows")
-    return Table(f"{plant}, case by case", header, tuple(lines))
+    return ResultTable(f"{plant}, case by case", header, tuple(lines))
 
 
-def reliability_table(rows: Sequence[Row], plant: str) -> Table:
+def reliability_table(rows: Sequence[Row], plant: str) -> ResultTable:
     """Of the events of sensors with a confidence, the share that is right."""
     index = index_of(rows)
     lines: list[tuple[str | Interval, ...]] = []
@@ -165,14 +165,14 @@ def reliability_table(rows: Sequence[Row], plant: str) -> Table:
         if any(cell != "-" for cell in cells):
             lines.append((detector, *cells))
     header = ("detector", *(f"stated {low:g} to {high:g}" for low, high in LEVELS))
-    return Table(f"{plant}: events that are right, by their confidence", header, tuple(lines))
+    return ResultTable(f"{plant}: events that are right, by their confidence", header, tuple(lines))
 
 
-def about_table() -> Table:
+def about_table() -> ResultTable:
     """What the cases are."""
     lines = tuple((c.group, c.name, c.about) for c in CASES)
     of_plant = (OF_PLANT, f"{MISMATCH}... , {PROCESS_FAULT}...", "stated beside the plant, with their reasons")
-    return Table("What is tried", ("group", "case", "what differs"), (*lines, of_plant), folded=True)
+    return ResultTable("What is tried", ("group", "case", "what differs"), (*lines, of_plant), folded=True)
 
 
 def summary_of(rows: Sequence[Row], remarks: Sequence[str]) -> Summary:

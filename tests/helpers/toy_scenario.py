@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.common.random_streams import stream
-from fusion_sfdia.report.content import Chapter, Figure, Summary, Table
+from fusion_sfdia.report.content import Chapter, Figure, ResultTable, Summary
 from fusion_sfdia.report.plots import panels, time_series
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
@@ -85,11 +85,11 @@ def summarise(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary
         return [Figure(name, f"Means {NASTY}", NASTY, draw, NASTY)] if settings["figure"] else []
 
     with_intervals = tuple((r.detector, (r.value, r.low, r.high, r.n)) for r in rows)
-    means = Table("Means", ("detector", "mean"), with_intervals, method=f"Table's method {NASTY}")
+    means = ResultTable("Means", ("detector", "mean"), with_intervals, method=f"Table's method {NASTY}")
     return Summary(
         rows,
         figures=figures("means"),
-        tables=[Table("As printed", ("detector", "mean"), tuple((r.detector, r.value) for r in rows))],
+        tables=[ResultTable("As printed", ("detector", "mean"), tuple((r.detector, r.value) for r in rows))],
         highlights=[f"{len(rows)} rows."],
         remarks=[f"Nothing is published. {NASTY}"],
         chapters=[

@@ -19,7 +19,7 @@ from fusion_sfdia.live import mqtt, opcua
 from fusion_sfdia.live.live_readings import DoubleKeyError, Reader, json_value
 from fusion_sfdia.live.nodes import Nodes
 from fusion_sfdia.live.saving import SavedWatch
-from fusion_sfdia.live.topics import Source, Topics
+from fusion_sfdia.live.topics import Topics, TopicSource
 from fusion_sfdia.logs.conversion import conversion
 from fusion_sfdia.logs.numbers import Numbers
 
@@ -87,7 +87,7 @@ def messages(change: Change = lambda k, name, found: found, lag: float = 0.2, st
 def through_mqtt(given: Iterable[mqtt.Message], **topics: Any) -> tuple[list[dict[str, Any]], list[str]]:
     pytest.importorskip("paho.mqtt.client")
     saved, lines, remarks = watching()
-    bridge = mqtt.Bridge(saved, "mqtt://x", Topics({n: n for n in NAMES}, **topics), now=lambda: START)
+    bridge = mqtt.MqttBridge(saved, "mqtt://x", Topics({n: n for n in NAMES}, **topics), now=lambda: START)
     for message in given:
         bridge.take(message)
     return lines, remarks
@@ -201,22 +201,22 @@ def test_the_first_unusable_payload_of_each_source_is_said_with_the_cure() -> No
 )  # fmt: skip
 def test_a_value_counts_with_a_quality_that_is_stated_good(quality: Any, good: Any, counts: bool) -> None:
     topics = Topics({}) if good is None else Topics({}, good=good)
-    found = topics.value(Source("t"), json.dumps({"value": 1.0, "quality": quality}).encode(), START)
+    found = topics.value(TopicSource("t"), json.dumps({"value": 1.0, "quality": quality}).encode(), START)
     assert (found.number == 1.0) == counts and not (counts and found.fault)
 
 
 def test_times_are_read_in_all_units_and_0_or_nothing_is_no_time() -> None:
     topics, seconds = Topics({}), 1772373600
     for text in (seconds, seconds * 1000, seconds * 10**6, seconds * 10**9, str(seconds), "2026-03-01T14:00:00.0000000Z"):
-        assert topics.value(Source("t"), json.dumps({"value": 1, "time": text}).encode(), None).stamp == START
+        assert topics.value(TopicSource("t"), json.dumps({"value": 1, "time": text}).encode(), None).stamp == START
     for text in ("", 0, None, "0", 0.0):
-        found = topics.value(Source("t"), json.dumps({"value": 1, "time": text}).encode(), START)
+        found = topics.value(TopicSource("t"), json.dumps({"value": 1, "time": text}).encode(), START)
         assert found.stamp == START and not found.has_time and found.number == 1.0
     for text in ("noon", True, False, [], {}, 10**30, "9" * 5000, "10.01.2026 14:00"):
-        found = topics.value(Source("t"), json.dumps({"value": 1, "time": text}).encode(), START)
+        found = topics.value(TopicSource("t"), json.dumps({"value": 1, "time": text}).encode(), START)
         assert found.stamp is None and "expected ISO 8601, or a number since 1970" in found.fault
     local = Topics({}, time_format="%d.%m.%Y %H:%M", tz="Europe/Amsterdam")
-    assert local.value(Source("t"), b'{"value": 1, "time": "01.03.2026 15:00"}', None).stamp == START
+    assert local.value(TopicSource("t"), b'{"value": 1, "time": "01.03.2026 15:00"}', None).stamp == START
 
 
 def test_messages_of_one_hour_give_their_rows_whatever_unit_their_times_have() -> None:
@@ -446,7 +446,7 @@ def data_values(k: int, row: Any, change: Change) -> tuple[list[Any], datetime]:
 
 def through_opcua(change: Change = lambda k, name, found: found, **nodes: Any) -> tuple[list[dict[str, Any]], list[str]]:
     saved, lines, remarks = watching()
-    bridge = opcua.Bridge(saved, "", Nodes({n: f"ns=2;s={n}" for n in NAMES}, **nodes))
+    bridge = opcua.OpcuaBridge(saved, "", Nodes({n: f"ns=2;s={n}" for n in NAMES}, **nodes))
     for k, row in enumerate(rows_of()):
         if (found := bridge.row(*data_values(k, row, change))) is not None:
             saved.update(*found)
@@ -497,7 +497,7 @@ def test_values_of_nodes_are_read_as_those_of_payloads() -> None:
     ua = pytest.importorskip("asyncua").ua
     nodes = Nodes({n: f"ns=2;s={n}" for n in NAMES} | {"l2": {"node": "ns=2;s=l2", "unit": "mm"}})
     saved, _, remarks = watching()
-    bridge = opcua.Bridge(saved, "", nodes)
+    bridge = opcua.OpcuaBridge(saved, "", nodes)
     values = (ua.Variant("1,5"), ua.Variant(1500, ua.VariantType.Int32), ua.Variant(2**64 - 1, ua.VariantType.UInt64),
               ua.Variant([1.0, 2.0]), ua.Variant(True))  # fmt: skip
     _, y, u = bridge.row([ua.DataValue(Value=v, SourceTimestamp=START.replace(tzinfo=None)) for v in values], START)

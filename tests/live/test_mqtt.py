@@ -24,7 +24,7 @@ from fusion_sfdia.diagnosis.watch import Watch
 from fusion_sfdia.live import mqtt
 from fusion_sfdia.live.saving import SavedWatch
 from fusion_sfdia.live.topics import Topics, load_topics
-from fusion_sfdia.live.values import Value, Values
+from fusion_sfdia.live.values import TimedValue, Values
 
 paho = pytest.importorskip("paho.mqtt.client")
 
@@ -255,7 +255,7 @@ def test_a_connection_with_tls_and_a_password_that_is_refused_without_it(
     with pytest.raises(EndedError):
         mqtt.watch_broker(SavedWatch(Watch(detector(), refused=refused), print), url, topics)
     assert "no connection (Not authorized)" in said[0]
-    bridge = mqtt.Bridge(SavedWatch(Watch(detector()), print), url, topics)
+    bridge = mqtt.MqttBridge(SavedWatch(Watch(detector()), print), url, topics)
     up = threading.Event()
     bridge.client.on_subscribe = lambda *_: up.set()
     bridge.client.connect("127.0.0.1", broker.port)
@@ -291,17 +291,17 @@ def test_a_payload_is_a_number_or_an_object_with_value_time_and_quality(topics: 
     for payload, (number, stamp) in expected.items():
         found = topics.value(plain, payload, now)
         assert found.stamp == stamp and np.array_equal(found.number, number, equal_nan=True), payload
-    assert topics.value(nested, b'{"l1": {"pv": 3, "q": "good"}, "at": "2026-03-01 14:00"}', None) == Value(3.0, START)
+    assert topics.value(nested, b'{"l1": {"pv": 3, "q": "good"}, "at": "2026-03-01 14:00"}', None) == TimedValue(3.0, START)
     in_ms = Topics({}, epoch="ms", good=("fine",))
-    assert in_ms.value(plain, b'{"value": 1, "time": 1772373600000, "quality": "FINE"}', None) == Value(1.0, START)
+    assert in_ms.value(plain, b'{"value": 1, "time": 1772373600000, "quality": "FINE"}', None) == TimedValue(1.0, START)
 
 
 def completed(values: Values, *given: tuple[str, float]) -> list[tuple[float, list[float]]]:
     """Rows from values, each with its number as its time, as seconds and readings."""
-    rows, found = mqtt.Rows(values, 5, 2.5), []
+    rows, found = mqtt.TopicRows(values, 5, 2.5), []
     for name, seconds in given:
         stamp = START + timedelta(seconds=seconds)
-        found += [((t - START).total_seconds(), [*y, *u]) for t, y, u in rows.take(name, Value(seconds, stamp))]
+        found += [((t - START).total_seconds(), [*y, *u]) for t, y, u in rows.take(name, TimedValue(seconds, stamp))]
     return found
 
 
@@ -322,7 +322,7 @@ def test_a_row_is_complete_with_all_values_or_the_first_of_the_next() -> None:
 def test_of_too_many_messages_the_oldest_are_lost_and_counted(topics: Topics, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mqtt, "QUEUED", 3)
     said: list[str] = []
-    bridge = mqtt.Bridge(SavedWatch(Watch(detector(), refused=said.append), print), "mqtt://x", topics)
+    bridge = mqtt.MqttBridge(SavedWatch(Watch(detector(), refused=said.append), print), "mqtt://x", topics)
     for k in range(5):
         message = paho.MQTTMessage(topic=b"tanks/q2")
         message.payload, message.retain = str(k).encode(), k == 4

@@ -183,7 +183,7 @@ def test_times_of_a_plant_of_fixed_steps_are_put_on_its_grid(tmp_path: Path) -> 
     plant = changed(tanks(), fixed_dt=True)
     nodes = load_nodes(tmp_path / "nodes.toml", plant)
     watch, start = Watch(LeaveOneOutBank(plant, window=1)), datetime(2026, 3, 1, tzinfo=UTC)
-    bridge = opcua.Bridge(SavedWatch(watch, print), "", nodes)
+    bridge = opcua.OpcuaBridge(SavedWatch(watch, print), "", nodes)
     for seconds in (0.0, 5.2, 9.9):
         watch.update(bridge.values.on_grid(start + timedelta(seconds=seconds)), [1.0, 1.0, 6e-4, 6e-4], [6e-4])
     assert watch.t == 10.0
@@ -219,7 +219,7 @@ def test_a_file_of_nodes_that_does_not_fit_is_refused(tmp_path: Path) -> None:
             load_nodes(path, tanks())
     path.write_text(NODES.replace("ns=2;s=l1", "x=y"))
     with pytest.raises(ValueError, match="'x=y' is not the id of a node"):
-        opcua.Bridge(SavedWatch(Watch(detector()), print), "", load_nodes(path, tanks()))
+        opcua.OpcuaBridge(SavedWatch(Watch(detector()), print), "", load_nodes(path, tanks()))
 
 
 def test_the_command_needs_both_and_the_package(
@@ -239,7 +239,7 @@ def test_nodes_that_the_server_does_not_have_are_said(tmp_path: Path) -> None:
     (tmp_path / "nodes.toml").write_text(NODES)
     remarks: list[str] = []
     watch = Watch(detector(), refused=remarks.append)
-    bridge = opcua.Bridge(SavedWatch(watch, print), "", load_nodes(tmp_path / "nodes.toml", tanks()))
+    bridge = opcua.OpcuaBridge(SavedWatch(watch, print), "", load_nodes(tmp_path / "nodes.toml", tanks()))
     good = ua.DataValue(Value=ua.Variant(1.0), SourceTimestamp=datetime(2026, 3, 1))
     bridge.check([good, ua.DataValue(StatusCode=ua.StatusCode(ua.StatusCodes.BadNodeIdUnknown)), good, good, good])
     assert remarks == ["l2: its node ns=2;s=l2 has no value (BadNodeIdUnknown)"]

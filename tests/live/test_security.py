@@ -317,7 +317,7 @@ def test_a_certificate_that_changes_later_is_remarked_and_tried_again(monkeypatc
         raise ConnectionError("lost")
 
     monkeypatch.setattr(opcua, "connected", connected)
-    monkeypatch.setattr(opcua.Bridge, "rows", rows)
+    monkeypatch.setattr(opcua.OpcuaBridge, "rows", rows)
     nodes = Nodes({"l1": "i=1", "inflow": "i=2"}, retry=0.0)
     with pytest.raises(KeyError):
         asyncio.run(opcua.watch_server(saved, "opc.tcp://plc", nodes))

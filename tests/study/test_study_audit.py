@@ -11,7 +11,7 @@ from fusion_sfdia import Plant, audit, check_plant, diagnose, simulate
 from fusion_sfdia.detectors import LeaveOneOutBank, registry
 from fusion_sfdia.plants import random_plant, two_tanks
 from fusion_sfdia.study.audit import GRACE, KINDS, lasting, outcomes, result_of
-from fusion_sfdia.study.error_protocol import CASES, Case, Trial, cases_for, trial
+from fusion_sfdia.study.error_protocol import CASES, Case, ErrorTrial, cases_for, trial
 from fusion_sfdia.study.truths import Variation, declared, varied
 
 BY_NAME = {case.name: case for case in CASES}
@@ -83,7 +83,7 @@ def test_the_events_of_a_trial_are_those_of_a_diagnosis_of_its_log() -> None:
 
 
 def test_a_trial_outside_the_limits_of_the_plant_is_left_out_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    def limited(plant: Plant, case: Case, seed: int, steps: int) -> Trial:
+    def limited(plant: Plant, case: Case, seed: int, steps: int) -> ErrorTrial:
         if seed == 2:
             raise FloatingPointError("level 1 is below 0")
         return trial(plant, case, seed, steps)

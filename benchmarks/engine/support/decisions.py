@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES, Array, Timeline, engine, row
 from fusion_sfdia.detectors.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.models.marine_engine.published import Experiment
-from fusion_sfdia.report.content import Figure, Table
+from fusion_sfdia.report.content import Figure, ResultTable
 from fusion_sfdia.report.metrics import Estimate, mean_over_runs, proportion
 from fusion_sfdia.report.plots import COLOURS, Bars, bars, legend_above, panels
 from fusion_sfdia.report.results import Published, Row
@@ -206,7 +206,7 @@ def differences(rows: list[Row], detector: str, experiment: Experiment, figure: 
     )
 
 
-def alarms_table(rows: list[Row], experiment: Experiment, detectors: Sequence[str]) -> Table:
+def alarms_table(rows: list[Row], experiment: Experiment, detectors: Sequence[str]) -> ResultTable:
     """First alarm of each module in each detector, compared with the paper."""
     cells = {(r.detector, r.quantity, r.metric): r.value for r in rows if r.metric in ("fired_share", "first_alarm_time")}
 
@@ -214,7 +214,7 @@ def alarms_table(rows: list[Row], experiment: Experiment, detectors: Sequence[st
         share, when = (cells[detector, name, metric] for metric in ("fired_share", "first_alarm_time"))
         return "silent" if share == 0 else f"{when:.2f} s in {share:.0%}"
 
-    return Table(
+    return ResultTable(
         "First alarm of each module: mean over the runs in which it fires, and their share",
         ("module", *detectors, "paper, one run"),
         tuple(

@@ -14,7 +14,7 @@ from fusion_sfdia.benchmarks.engine.support.decisions import (
 )
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, published_first, timeline
 from fusion_sfdia.models.marine_engine.published import Experiment
-from fusion_sfdia.report.content import Figure, Table
+from fusion_sfdia.report.content import Figure, ResultTable
 from fusion_sfdia.report.results import Published, Row
 from fusion_sfdia.study.experiments.scenario import Arrays
 
@@ -27,7 +27,7 @@ class PublishedComparison(NamedTuple):
     by_detector: dict[str, list[Row]]
     of_timeline: list[Row]
     figures: list[Figure]
-    table: Table
+    table: ResultTable
     differences: list[str]
 
     @property

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE
-from fusion_sfdia.report.content import Figure, Table
+from fusion_sfdia.report.content import Figure, ResultTable
 from fusion_sfdia.report.plots import COLOURS, Bars, bars, legend_above, panels
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.report.sentences import span
@@ -154,7 +154,7 @@ def unequal_figure(rows: Rows) -> Figure:
     )
 
 
-def table(rows: Rows) -> Table:
+def table(rows: Rows) -> ResultTable:
     """Measured ratios compared with theory."""
     lines = []
     for key, r in _ratios(rows).items():
@@ -171,7 +171,7 @@ def table(rows: Rows) -> Table:
                 stated,
             )
         )
-    return Table(
+    return ResultTable(
         "Variance of the angles' residuals over that without consensus",
         ("weights", "copies", "condition", "measured", "95 % interval", "theory", "(15) as printed"),
         tuple(lines),

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE
-from fusion_sfdia.report.content import Figure, Table
+from fusion_sfdia.report.content import Figure, ResultTable
 from fusion_sfdia.report.plots import COLOURS, MARKERS, Bars, bars, legend_above, panels
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.report.sentences import span
@@ -101,7 +101,7 @@ def curve_figure(rows: Rows) -> Figure:
     )
 
 
-def table(rows: Rows) -> Table:
+def table(rows: Rows) -> ResultTable:
     """Delays and missed detections at the common level."""
     lines = []
     for test in TESTS:
@@ -113,7 +113,7 @@ def table(rows: Rows) -> Table:
                 lost = "" if missed is None or not missed.value else f", {missed.value:.0%} missed"
                 cells.append("none" if r is None else f"{r.value:.3g} ({r.low:.3g} to {r.high:.3g}){lost}")
         lines.append((test, *cells))
-    return Table(
+    return ResultTable(
         "Mean delay in s at one false alarm in a thousand steps, with 95 % intervals",
         ("detector", *(f"{fault}, {noise}" for fault in CASES for noise in PROCESS_VARIANCE)),
         tuple(lines),

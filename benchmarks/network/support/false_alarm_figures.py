@@ -26,7 +26,7 @@ from fusion_sfdia.benchmarks.network.support.claims import (
 )
 from fusion_sfdia.benchmarks.network.support.residuals import CORRECTED, MEMORYLESS, PAPER, VARIANTS
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE
-from fusion_sfdia.report.content import Figure, Table
+from fusion_sfdia.report.content import Figure, ResultTable
 from fusion_sfdia.report.plots import COLOURS, MARKERS, Bars, bars, legend_above, panels
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.report.sentences import span
@@ -137,7 +137,7 @@ def consecutive_figure(rates: Rates) -> Figure:
     )
 
 
-def tables(rates: Rates, laws: Sequence[str]) -> list[Table]:
+def tables(rates: Rates, laws: Sequence[str]) -> list[ResultTable]:
     """Which claims are kept; confirmed false alarms."""
     audit = []
     for v in VARIANTS:
@@ -154,13 +154,13 @@ def tables(rates: Rates, laws: Sequence[str]) -> list[Table]:
         for k, r in chosen(rates, metric=CONFIRMED).items()
     ]
     return [
-        Table(
+        ResultTable(
             "Measured false alarms per step, and whether the claim is kept",
             ("thresholds", "law", "rule", *(f"claimed {p:g}" for p in LEVELS)),
             tuple(audit),
             "The larger rate of both process noises, over all components.",
         ),
-        Table(
+        ResultTable(
             "Runs of 100 s in which a false alarm is confirmed by three consecutive steps",
             ("thresholds", "where", "condition", "share", "95 % interval", "runs"),
             tuple(confirmed),

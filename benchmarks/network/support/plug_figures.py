@@ -11,7 +11,7 @@ from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE
-from fusion_sfdia.report.content import Figure, Table
+from fusion_sfdia.report.content import Figure, ResultTable
 from fusion_sfdia.report.plots import COLOURS, DASHES, legend_above, panels
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.report.sentences import span
@@ -40,7 +40,7 @@ class Changed(NamedTuple):
         return f"areas {', '.join(self.areas)}"
 
 
-class Alarm(NamedTuple):
+class FirstAlarm(NamedTuple):
     """The key of a row: alarms in a place and phase, with the diagnosers in one of MANNERS."""
 
     place: str
@@ -113,7 +113,7 @@ def alarm_figure(curves: Mapping[tuple[str, str], Array], names: tuple[str, ...]
 SHOWN = 10  # s from which alarms are drawn
 
 
-def tables(changed: Mapping[Changed, Row], alarms: Mapping[Alarm, Row]) -> list[Table]:
+def tables(changed: Mapping[Changed, Row], alarms: Mapping[FirstAlarm, Row]) -> list[ResultTable]:
     """Which areas change; alarms by phase."""
     local = [
         (k.event, k.what, k.noise, k.who, f"{r.value:g}", "" if r.published is None else f"{r.published:g}")
@@ -127,12 +127,12 @@ def tables(changed: Mapping[Changed, Row], alarms: Mapping[Alarm, Row]) -> list[
                 if all(r is not None for r in found):
                     lines.append((noise, manner, place, *(f"{r.value:.3f} ({r.low:.3f} to {r.high:.3f})" for r in found if r)))
     return [
-        Table(
+        ResultTable(
             "Areas of which a number changes",
             ("event", "what", "process noise", "which", "areas", "published"),
             tuple(local),
         ),
-        Table(
+        ResultTable(
             "Share of healthy areas in alarm per step at alpha = 2, with 95 % intervals over runs",
             ("process noise", "diagnosers", "areas", *PHASES),
             tuple(lines),
@@ -140,7 +140,7 @@ def tables(changed: Mapping[Changed, Row], alarms: Mapping[Alarm, Row]) -> list[
     ]
 
 
-def remarks(changed: Mapping[Changed, Row], alarms: Mapping[Alarm, Row]) -> list[str]:
+def remarks(changed: Mapping[Changed, Row], alarms: Mapping[FirstAlarm, Row]) -> list[str]:
     """The effect of replugging, the first for the top of the report."""
     after = {}
     for manner in MANNERS:
@@ -163,5 +163,5 @@ def remarks(changed: Mapping[Changed, Row], alarms: Mapping[Alarm, Row]) -> list
     ]
 
 
-def _one(alarms: Mapping[Alarm, Row], place: str, phase: str, manner: str, noise: str) -> Row | None:
-    return alarms.get(Alarm(place, phase, manner, noise))
+def _one(alarms: Mapping[FirstAlarm, Row], place: str, phase: str, manner: str, noise: str) -> Row | None:
+    return alarms.get(FirstAlarm(place, phase, manner, noise))

@@ -29,7 +29,7 @@ Arrays = dict[str, Array]
 CONTROLLERS: dict[str, Callable[[], Control]] = {"generation": lambda: generation_control, "predictive": PredictiveControl}
 ALPHA, LAM = 2.0, 0.3  # B18, sec. VIII
 CONFIRMATIONS = 3  # B18, sec. VIII-A: "after 3 consecutively alarms"
-ALARM_RULES = ("single alarms", f"{CONFIRMATIONS} consecutive")  # the last axis of `Alarms`
+ALARM_RULES = ("single alarms", f"{CONFIRMATIONS} consecutive")  # the last axis of `RunAlarms`
 PATIENCE = 30  # steps until the isolation ends; our choice
 BOUND = 0.0427  # of noise and disturbances (B18, sec. VIII-A), the largest of 10 series of samples there
 LATE = 70.0  # s; the angles from then on show whether the area is under control
@@ -67,14 +67,14 @@ def trial(
 ) -> Arrays:
     """Runs of B seeds over K = steps + 1 samples; loads: "1" or "2" of B18. Isolation where no area is switched.
 
-    Arrays: of `Alarms` and `Answers`; angle (B, N), root mean squares of the areas' from LATE on; of the first run SHOWN: t
+    Arrays: of `RunAlarms` and `Answers`; angle (B, N), root mean squares of the areas' from LATE on; of the first run SHOWN: t
     (K,), reference, reached (what of it does reach the areas), load, angles, speeds (K, N), residual, deviation (K, n) of the
     area's own readings.
     """
     areas, runs = network_areas(model), len(seeds)
     area = model.network.topology.index(watch.area)
     control = Compensated(CONTROLLERS[controller](), np.ones((runs, len(model.names))))
-    alarms, answers = Alarms(areas, area, watch.onset, runs), Answers(areas, model, watch, runs)
+    alarms, answers = RunAlarms(areas, area, watch.onset, runs), Answers(areas, model, watch, runs)
     now, condition = initial_state(areas, (runs,)), None
     acted, true_gain = control.gain.copy(), np.ones(len(model.names))
     late: list[Array] = []
@@ -112,7 +112,7 @@ def trial(
 
 
 @dataclass
-class Alarms:
+class RunAlarms:
     """When an area alarms, from the onset on, and how many areas alarmed before it; B runs.
 
     detected (B, 2): time (s) of its first alarm and of its first CONFIRMATIONS consecutive ones, inf for never.

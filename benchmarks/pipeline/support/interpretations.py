@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from fusion_sfdia.detectors.kalman_banks.fusing_bank import FEEDBACKS
 from fusion_sfdia.models.gas_pipeline.plant import PROCESS_NOISE
-from fusion_sfdia.report.content import Interval, Table
+from fusion_sfdia.report.content import Interval, ResultTable
 from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.results import Published
 from fusion_sfdia.study.experiments.scenario import Settings
@@ -47,7 +47,7 @@ def condition(snr: str, suffix: str = "") -> str:
 
 def interpretations_table(
     title: str, header: tuple[str, ...], found: Cases, published: Mapping[tuple[str, ...], Published | None]
-) -> Table:
+) -> ResultTable:
     """Each case with its published value and ours by interpretation."""
     lines: list[tuple[str | float | Interval, ...]] = []
     for case, values in found.items():
@@ -55,7 +55,7 @@ def interpretations_table(
         if theirs is not None:
             ours: list[float | Interval] = [interval(values[k]) if k in values else float("nan") for k in EVERY]
             lines.append((*case, theirs.value, *ours))
-    return Table(
+    return ResultTable(
         title,
         (*header, "published", *(one.title for one in EVERY)),
         tuple(lines),

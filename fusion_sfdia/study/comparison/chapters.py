@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from fusion_sfdia.report.content import Chapter, Figure, Table
+from fusion_sfdia.report.content import Chapter, Figure, ResultTable
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.report.sentences import span
 from fusion_sfdia.study.comparison.cell import ComparisonCell
@@ -224,8 +224,8 @@ def words_chapter(detectors: Sequence[ComparedDetector]) -> Chapter:
         "words",
         "Words and detectors",
         tables=[
-            Table("Words", ("word", "what it means here"), tuple(WORDS.items())),
-            Table(
+            ResultTable("Words", ("word", "what it means here"), tuple(WORDS.items())),
+            ResultTable(
                 "Detectors",
                 ("detector", "memory", "what it is"),
                 tuple((d.name, d.entry.memory or "not stated", d.entry.about or "not stated") for d in detectors),

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from fusion_sfdia.report.content import Interval, Table
+from fusion_sfdia.report.content import Interval, ResultTable
 from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.study.comparison.cell import ComparisonCell
@@ -34,7 +34,7 @@ def robustness(settings: Settings, cell: ComparisonCell) -> float:
     return exact_isolation(settings, cell).value * (1 - false if np.isfinite(false) else 1.0)
 
 
-def choices_table(settings: Settings, cells: Cells) -> Table:
+def choices_table(settings: Settings, cells: Cells) -> ResultTable:
     """For each plant the detector with most exact isolation, and with false isolation under mismatch counted against it."""
     rows: list[tuple[str | float | Interval, ...]] = []
     for plant in dict.fromkeys(p for p, _ in cells):
@@ -59,7 +59,7 @@ def choices_table(settings: Settings, cells: Cells) -> Table:
         *("false isolation, worst mismatch case", "which"),
         *("false isolation, worst process fault", "which", "healthy samples with an alarm"),
     )
-    return Table(
+    return ResultTable(
         "Which to take",
         header,
         tuple(rows),
@@ -72,13 +72,13 @@ def choices_table(settings: Settings, cells: Cells) -> Table:
     )
 
 
-def numbers_table(settings: Settings, cells: Mapping[str, ComparisonCell]) -> Table:
+def numbers_table(settings: Settings, cells: Mapping[str, ComparisonCell]) -> ResultTable:
     """The detectors of a plant in numbers with intervals."""
     columns = measures(settings)
     found = {d: [measure.of(cell) for measure in columns.values()] for d, cell in cells.items()}
     counts = [sorted({line[i].n for line in found.values() if line[i].n}) for i in range(len(columns))]
     runs = [f"n {n[0]}" if len(n) == 1 else f"n {n[0]} to {n[-1]}" if n else "" for n in counts]
-    return Table(
+    return ResultTable(
         f"In numbers; the truth differs from the model by {stated_distance(next(iter(cells.values())).subject)}",
         ("detector", *(f"{name} ({n})" if n else name for name, n in zip(columns, runs, strict=True)), "false alarms claimed"),
         tuple((d, *line, claim_of(cells[d])) for d, line in found.items()),
@@ -92,7 +92,7 @@ def numbers_table(settings: Settings, cells: Mapping[str, ComparisonCell]) -> Ta
     )
 
 
-def lengths_tables(settings: Settings, cells: Mapping[str, ComparisonCell]) -> list[Table]:
+def lengths_tables(settings: Settings, cells: Mapping[str, ComparisonCell]) -> list[ResultTable]:
     """Biases of several lengths beside each other, a table a size."""
     lengths = sorted(settings["lengths"])
     shown = (("area", area_of), ("alarm", alarm_of), ("exact", exact_of))
@@ -102,7 +102,7 @@ def lengths_tables(settings: Settings, cells: Mapping[str, ComparisonCell]) -> l
             (d, *(of(c, length_name(size, n)) for _, of in shown for n in lengths)) for d, c in cells.items()
         ]
         tables.append(
-            Table(
+            ResultTable(
                 f"How long a bias of {size:g} sigma lasts",
                 ("detector", *(f"{what}, {n} samples" for what, _ in shown for n in lengths)),
                 tuple(rows),
@@ -137,7 +137,7 @@ def claim_of(cell: ComparisonCell) -> str:
     return f"{claim:.2g}" if np.isfinite(claim) else "none"
 
 
-def paper_table(published: Sequence[Row]) -> Table:
+def paper_table(published: Sequence[Row]) -> ResultTable:
     """Published numbers beside ours."""
     rows = [
         (
@@ -147,7 +147,7 @@ def paper_table(published: Sequence[Row]) -> Table:
         for r in published
         if r.published is not None
     ]
-    return Table(
+    return ResultTable(
         "What the papers state of their own faults, and what comes out here",
         ("fault", "detector", "of", "until", "metric", "ours", "n", "published", "our interval", "source"),
         tuple(rows),
@@ -165,7 +165,7 @@ def judged(row: Row) -> str:
     return "none" if row.agrees is None else "contains it" if row.agrees else "does not"
 
 
-def ranks_table(plant: str, criteria: Mapping[str, Mapping[str, RankedDetector]]) -> Table:
+def ranks_table(plant: str, criteria: Mapping[str, Mapping[str, RankedDetector]]) -> ResultTable:
     """Ranks of all detectors, shared where nothing differs, and the means behind them."""
     shown = {criterion: found for criterion, found in criteria.items() if any(s.mean.n for s in found.values())}
     detectors = list(next(iter(shown.values()), {}))
@@ -178,7 +178,7 @@ def ranks_table(plant: str, criteria: Mapping[str, Mapping[str, RankedDetector]]
         for row in rows:
             standing = found[str(row[0])]
             row += [standing.rank, standing.mean]
-    return Table(
+    return ResultTable(
         f"Ranks, {plant}",
         tuple(header),
         tuple(map(tuple, rows)),
@@ -191,13 +191,13 @@ def ranks_table(plant: str, criteria: Mapping[str, Mapping[str, RankedDetector]]
     )
 
 
-def cost_table(cells: Mapping[str, ComparisonCell]) -> Table:
+def cost_table(cells: Mapping[str, ComparisonCell]) -> ResultTable:
     """Time and memory."""
     rows: list[tuple[str | float, ...]] = []
     for d, cell in cells.items():
         batch, state, step = (float(cell[name]) for name in ("batch_seconds", "state_bytes", "step_bytes"))
         rows.append((d, 1e3 * cell.step_seconds, 1e3 * batch, 1e-3 * state, 1e-3 * step))
-    return Table(
+    return ResultTable(
         "Cost",
         (
             "detector",
@@ -214,12 +214,12 @@ def cost_table(cells: Mapping[str, ComparisonCell]) -> Table:
     )
 
 
-def changes_table(settings: Settings, cell: ComparisonCell) -> Table:
+def changes_table(settings: Settings, cell: ComparisonCell) -> ResultTable:
     """Mismatch cases and faults of a plant and of its papers, and why."""
     rows = [("mismatch case", case.name, case.why) for case in mismatch_cases(settings, cell.cases)]
     rows += [("process fault", f.name, f.why) for f in cell.cases.process_faults if settings["process_faults"]]
     rows += [("fault of a paper", f.name, f.about) for f in cell.cases.paper_faults if PUBLISHED in settings["faults"]]
-    return Table(
+    return ResultTable(
         "Mismatch cases and faults of this plant",
         ("what", "name", "why"),
         tuple(rows),
