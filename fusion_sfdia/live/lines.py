@@ -16,18 +16,21 @@ from fusion_sfdia.core.model_errors import RAISED
 from fusion_sfdia.core.numerals import for_json
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.verdicts import Verdict, far_off
+from fusion_sfdia.evaluation.sentences import Words, sentence
 from fusion_sfdia.live.changes import Change
 from fusion_sfdia.live.watch import Sample
 
 Array = NDArray[Any]
 
 
-def change_line(change: Change, clock: Clock) -> str:
-    """{"event": "opened", "id": 1, "t": 30.0, "kind": "sensor", "hypothesis": "p_3", ...}: an event by its fields."""
+def change_line(change: Change, clock: Clock, words: Words) -> str:
+    """{"event": "opened", "id": 1, "t": 30.0, "kind": "sensor", "hypothesis": "p_3", ...}: an event by its fields, and in a
+    sentence as "text".
+    """
     found = {"event": change.what, "id": change.id, **_when(change.t, clock)}
     if change.event is None:
         return _json({**found, "reason": change.reason})
-    fields = change.event.fields(clock)
+    fields = change.event.fields(clock) | {"text": sentence(change.event, words, clock)}
     known = {name: v for name, v in fields.items() if name == "size" or (v not in ("", (), None) and v == v)}
     return _json({**found, **known})
 

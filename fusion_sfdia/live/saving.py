@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from fusion_sfdia.core.files import explained
+from fusion_sfdia.evaluation.sentences import wordings
+from fusion_sfdia.live.changes import Change
 from fusion_sfdia.live.lines import change_line, sample_line
 from fusion_sfdia.live.status import Status
 from fusion_sfdia.live.watch import Sample, Watch
@@ -51,14 +53,17 @@ class SavedWatch:
         self.whole = False
         found = self._written(self.watch.rest())
         for change in self.watch.last():
-            self.write(change_line(change, self.watch.clock))
+            self._write(change)
         return found
+
+    def _write(self, change: Change) -> None:
+        self.write(change_line(change, self.watch.clock, wordings(self.watch.detector)))
 
     def _written(self, found: tuple[Sample, ...]) -> tuple[Sample, ...]:
         watch = self.watch
         for sample in found:
             for change in sample.changes:
-                self.write(change_line(change, watch.clock))
+                self._write(change)
             if self.samples:
                 self.write(sample_line(sample, watch.detector.plant, watch.detector.hypotheses, watch.clock))
         self.rows, self.whole = self.rows + len(found), True

@@ -76,7 +76,9 @@ class TimeAxis(NamedTuple):
             zone = self.clock.start.tzinfo
             locator = AutoDateLocator(tz=zone, minticks=3, maxticks=6)  # type: ignore[no-untyped-call]
             axes.xaxis.set_major_locator(locator)
-            axes.xaxis.set_major_formatter(ConciseDateFormatter(locator, tz=zone, show_offset=False))  # type: ignore[no-untyped-call]
+            formatter: Any = ConciseDateFormatter(locator, tz=zone, show_offset=False)  # type: ignore[no-untyped-call]
+            formatter.formats[-1] = "%H:%M:%S.%f"  # of seconds, of which it leaves out zeros
+            axes.xaxis.set_major_formatter(formatter)
 
 
 MINUTES = TimeAxis(Clock(), 60.0, "time (min)")

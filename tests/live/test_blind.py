@@ -184,7 +184,12 @@ def test_readings_that_are_all_missing_or_impossible_are_no_verdict(value: float
     found = sight(samples)
     assert [(c.what, c.t) for c in found] == [("blind", rows[22][0]), ("sees again", rows[42][0])]  # one row alone is no change
     assert found[0].reason == what
-    assert json.loads(change_line(found[0], Clock())) == {"event": "blind", "id": found[0].id, "t": rows[22][0], "reason": what}
+    assert json.loads(change_line(found[0], Clock(), {})) == {
+        "event": "blind",
+        "id": found[0].id,
+        "t": rows[22][0],
+        "reason": what,
+    }
     written = dict(results(detector, samples[30], WRITE))
     assert written["A"] is None and written["V"] == f"no verdict: {what}"
     assert written["w"] == ("missing" if np.isnan(value) else "no verdict")
