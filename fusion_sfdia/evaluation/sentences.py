@@ -236,12 +236,15 @@ def _measured(value: float, low: float, high: float, unit: str) -> str:
     low, high = min(low, high), max(low, high)
     places = -math.floor(math.log10(half))
     places += half < 1.9 * 10.0**-places
-    if not -6 < places < 5:
-        digits = max(1, min(6, places + math.floor(math.log10(value)) + 1 if value > 0 else 1))
-        shown = [f"{v:.{digits}g}" for v in (value, low, high)]
-    else:
-        shown = [f"{round(v, places):.{max(places, 0)}f}" for v in (value, low, high)]
+    shown = [_rounded(v, places) for v in (value, low, high)]
     return f"{with_unit(shown[0], unit)} ({shown[1]} to {shown[2]})"
+
+
+def _rounded(value: float, places: int) -> str:
+    """A number to that many decimal places, with a power of ten where it is very small or large."""
+    if -6 < places < 5 or value == 0:
+        return f"{round(value, places):.{max(places, 0)}f}"
+    return f"{value:.{max(0, places + math.floor(math.log10(abs(value))))}e}"
 
 
 def _either(names: Sequence[str]) -> str:

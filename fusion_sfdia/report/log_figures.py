@@ -126,14 +126,14 @@ def overview(plant: Plant, y: Array, found: Diagnosis) -> Figure:
 
 
 def near(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event], points: int = MOST_POINTS) -> Figure:
-    """A finding from near, its events in order of time: readings (K, N) of its sensor with what is expected, the difference
-    between them, and the verdicts. Of a finding that is no sensor the readings are those that are furthest off.
+    """A finding from near, about the first of its events and those of the others that follow each other: readings (K, N) of its
+    sensor with what is expected, the difference between them, and the verdicts. Of a finding that is no sensor the readings are
+    those that are furthest off.
 
     points: of a line at most; readings have dots where few are drawn.
     """
     i, t, at = shown_sensor(plant, found, events), found.t, time_axis(found)
-    a, b = (int(np.searchsorted(t, when)) for when in (events[0].start, max(e.end for e in events)))
-    margin = max(20, (b - a) // 2)
+    a, b, margin = _extent(t, events)
     window = slice(max(0, a - margin), min(len(t), b + margin + 1))
     error, sd, usual = (v[window] for v in _differences(found, i))
     reading, unit = y[window, i], plant.sensors[i].unit
@@ -161,6 +161,20 @@ def near(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event], poin
     at.label_on(strip)
     figure.legend(*upper.get_legend_handles_labels(), loc="outside upper left", ncols=4, fontsize=7, columnspacing=1.0)
     return figure
+
+
+def _extent(t: Array, events: Sequence[Event]) -> tuple[int, int, int]:
+    """First and last sample of the first event, with those of the others within a margin, and that margin in samples."""
+    a, b = (int(np.searchsorted(t, when)) for when in (events[0].start, events[0].end))
+    margin = max(20, (b - a) // 2)
+    in_time = sorted((np.searchsorted(t, (e.start, e.end)) for e in events), key=lambda span: int(span[0]))
+    for first, last in in_time:
+        if first >= a and first <= b + margin:
+            b = max(b, int(last))
+    for first, last in reversed(in_time):
+        if last <= b and last >= a - margin:
+            a = min(a, int(first))
+    return a, b, max(20, (b - a) // 2)
 
 
 def shown_sensor(plant: Plant, found: Diagnosis, events: Sequence[Event]) -> int:

@@ -28,8 +28,9 @@ from fusion_sfdia.report.log_figures import near, overview, time_line
 from fusion_sfdia.report.page import inline, page_environment, part
 from fusion_sfdia.report.plots import panels
 
-MOST_EVENTS = 200  # of one hypothesis
-MOST_SENTENCES = 3  # of one hypothesis in the list at the top
+SIDED = ("bias", "drift")  # faults of which too high and too low are two findings
+MOST_EVENTS = 200  # of one finding
+MOST_SENTENCES = 3  # of one finding; of one with more the first alone, and how many there are
 MOST_FIGURES = 60
 MOST_LINES = 100  # of the time line
 POINTS = (100, 500, 8000)  # of a line at least and at most, and of all figures together
@@ -59,10 +60,10 @@ class Drawn(NamedTuple):
 def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosis, about: About) -> None:
     """Write report.html of readings y (K, N), NaN where missing, whole or not at all; every name and text is escaped."""
     passing, drawable = set(map(id, found.passing)), len(found.t) > 1
-    groups: dict[tuple[str, str], list[Event]] = {}
+    groups: dict[tuple[str, str, str, bool], list[Event]] = {}
     for e in found.findings:
         if id(e) not in passing:
-            groups.setdefault((e.kind, e.hypothesis), []).append(e)
+            groups.setdefault((e.kind, e.hypothesis, e.fault, e.fault in SIDED and e.size < 0), []).append(e)
     least, most, all_of_them = POINTS
     points = min(most, max(least, all_of_them // max(len(groups), 1)))
     lines, strips = [], []
@@ -79,8 +80,7 @@ def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosi
     for k, own in enumerate(groups.values()):
         figure = None
         if drawable and k < MOST_FIGURES:
-            in_time = sorted(own, key=lambda e: e.start)
-            figure = _drawn(f"f{k}", _title(found, own), partial(near, plant, y, found, in_time, points), _caption(found, own))
+            figure = _drawn(f"f{k}", _title(found, own), partial(near, plant, y, found, own, points), _caption(own))
         findings.append(_finding(found, own) | {"title": _title(found, own), "figure": figure})
     page = (
         page_environment()
@@ -125,29 +125,28 @@ def _time_line(found: Diagnosis) -> Figure:
 
 
 def _title(found: Diagnosis, own: Sequence[Event]) -> str:
-    """Name and kinds of a finding, those of its most important event first."""
+    """Name and kind of a finding."""
     e = own[0]
     name = found.words[e.hypothesis].name if e.hypothesis in found.words else e.hypothesis
-    kinds = dict.fromkeys(e.fault for e in own if e.fault) or {WORDS[e.kind]: None}
-    return f"{name}: {', '.join(kinds)}" if e.kind != "undecided" else "Undecided"
+    return f"{name}: {e.fault or WORDS[e.kind]}" if e.kind != "undecided" else "Undecided"
 
 
-def _caption(found: Diagnosis, own: Sequence[Event]) -> str:
+def _caption(own: Sequence[Event]) -> str:
     """What the picture shows beside what its legend states."""
-    if own[0].kind == "sensor":
-        return "Above the readings, below how far they are from what is expected: grey is usual."
-    return "The readings that are furthest off meanwhile; below how far they are from what is expected: grey is usual."
+    which = "Above the readings" if own[0].kind == "sensor" else "Above the readings that are furthest off meanwhile"
+    when = " at the first of these times" if len(own) > 1 else ""
+    return f"{which}{when}, in the middle how far they are from what is expected (grey is usual), below what was found."
 
 
 def _finding(found: Diagnosis, own: Sequence[Event]) -> dict[str, Any]:
     """A finding as texts; own: its events, the most important first."""
-    first, rest = own[0], own[MOST_SENTENCES:]
+    first, many = own[0], len(own) > MOST_SENTENCES
     start, end = min(e.start for e in own), max(e.end for e in own)
-    more = f"In all {len(own)} times {found.clock.span(start, end)}, each listed below." if rest else ""
+    more = f"In all {len(own)} times {found.clock.span(start, end)}: each is among the numbers of this finding." if many else ""
     return {
         "kind": first.kind,
         "word": "possible" if first.confidence < EVEN else WORDS[first.kind],
-        "sentences": [found.sentence(e) for e in own[:MOST_SENTENCES]],
+        "sentences": [found.sentence(e) for e in (own[:1] if many else own)],
         "more": more,
         "confidence": confidence_of(first),
         "others": ", ".join(others_of(first, found.words)),
@@ -160,8 +159,8 @@ def _row(found: Diagnosis, e: Event) -> dict[str, str]:
     """An event as texts, with its statistics."""
     return {
         "fault": " or ".join([e.fault, *e.fault_alternatives]) if e.fault else WORDS[e.kind],
-        "start": found.clock.at(e.start),
-        "end": f"{'end of the log' if e.open else found.clock.at(e.end)}",
+        "start": found.clock.wall(e.start),
+        "end": "end of the log" if e.open else found.clock.wall(e.end),
         "size": size_of(e, found.words),
         "sigmas": f"{abs(e.sigmas):.3g}" if math.isfinite(e.sigmas) and size_of(e, found.words) else "",
         "confidence": confidence_of(e),

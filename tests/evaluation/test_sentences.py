@@ -70,8 +70,8 @@ def test_the_process_is_told_by_what_differs() -> None:
         "Outlet has been 5.0 % (3.4 to 6.6) below its value in the model since 2026-03-01 02:07; no sensor explains this. "
         "Check this part of the plant."
     )
-    told = "Flow of the pump (inflow): the plant got 0.00010 m3/s (8e-05 to 0.00012) more than the log states from"
-    assert sentence(INFLOW, WORDS, NIGHT).replace("0.0001 m3/s", "0.00010 m3/s").startswith(told)
+    told = "Flow of the pump (inflow): the plant got 1.0e-04 m3/s (8e-05 to 1.2e-04) more than the log states from"
+    assert sentence(INFLOW, WORDS, NIGHT).startswith(told)
     level = replace(OUTLET, hypothesis="equation of level", nominal=np.nan)
     told = sentence(level, WORDS, NIGHT)
     assert told.startswith("Something that the model leaves out lowers the tank since") and "equation" not in told
