@@ -19,6 +19,7 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor
 from fusion_sfdia.evaluation.diagnose import Diagnosis
 from fusion_sfdia.evaluation.events import Event, UndecidedEvent, listed, median, spans, with_unit
+from fusion_sfdia.evaluation.sentences import Wording
 from fusion_sfdia.learning.causes import MOVED, ONE_OF, OUTSIDE, PROCESS, RECORDER, Causes
 from fusion_sfdia.learning.channels import Channels, deviations
 from fusion_sfdia.learning.judging import Judged
@@ -148,7 +149,8 @@ def diagnosed(
     events.sort(key=lambda e: (order[e.kind], e.start, e.hypothesis))
     gaps = tuple(Gap(float(a.t[-1]), float(b.t[0]), round(float(b.t[0] - a.t[-1]) / dt), True) for a, b in pairwise(found))
     decisions = joined([decisions_of(channels, v) for v in found])
-    return Diagnosis(tuple(events), decisions, t, tested(channels), clock, gaps, of_log=of_log)
+    words = {s.name: Wording("sensor", s.name) for s in channels.sensors}
+    return Diagnosis(tuple(events), decisions, t, tested(channels), clock, gaps, of_log=of_log, words=words)
 
 
 def plant_of(channels: Channels, dt: float) -> Plant:

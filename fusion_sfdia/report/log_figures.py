@@ -135,13 +135,16 @@ def near(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event], poin
     i, t, at = shown_sensor(plant, found, events), found.t, time_axis(found)
     a, b, margin = _extent(t, events)
     window = slice(max(0, a - margin), min(len(t), b + margin + 1))
-    error, sd, usual = (v[window] for v in _differences(found, i))
+    error, usual = (v[window] for v in _differences(found, i))
     reading, unit = y[window, i], plant.sensors[i].unit
-    expected = np.where(np.isfinite(error), reading - error, found.decisions.reconstruction[window, i])
+    expected = found.decisions.reconstruction[window, i]
+    if found.after is not None:
+        expected = np.where(np.isfinite(error), reading - error, expected)
     shown = thinned(reading, points)
     line = ".-" if shown.size == reading.size and shown.size < MOST_DOTS else "-"
     figure = Figure(figsize=(4.8, 4.2), layout="constrained")
     upper, lower, strip = figure.subplots(3, 1, sharex=True, height_ratios=(6, 3, 1.2))
+    sd = usual / 3
     each = [v[shown] for v in (expected - 2 * sd, expected + 2 * sd, expected, reading, error, usual)]
     times, (low, high, middle, read, difference, limit) = broken(t[window][shown], each, found.gaps)
     x, step, (name, colour) = at(times), _step(t), KINDS[events[0].kind]
@@ -156,7 +159,7 @@ def near(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event], poin
         shade(axes, spans, color=colour, alpha=0.15, zorder=0, lw=0, label=f"found: {name}" if axes is upper else None)
     _strip(strip, found, events, (float(t[window][0]), float(t[window][-1])))
     upper.set_ylabel(f"{plant.sensor_names[i]} [{unit}]")
-    lower.set_ylabel(f"difference\n[{unit}]")
+    lower.set_ylabel(f"difference\n[{unit}]" if found.after is not None else "over its\nlimit")
     strip.set_xlim(float(x[0]), float(at(t[window][-1] + step)))
     at.label_on(strip)
     figure.legend(*upper.get_legend_handles_labels(), loc="outside upper left", ncols=4, fontsize=7, columnspacing=1.0)
@@ -188,21 +191,22 @@ def shown_sensor(plant: Plant, found: Diagnosis, events: Sequence[Event]) -> int
         within |= (found.t >= e.start) & (found.t <= e.end)
     off = []
     for i in own:
-        error, sd, _ = _differences(found, i)
+        error, usual = _differences(found, i)
         with np.errstate(divide="ignore", invalid="ignore"):
-            z = np.abs(error[within] / sd[within])
+            z = np.abs(error[within] / usual[within])
         off.append(float(np.mean(z[np.isfinite(z)])) if np.any(np.isfinite(z)) else -1.0)
     return own[int(np.argmax(off))]
 
 
-def _differences(found: Diagnosis, i: int) -> tuple[Array, Array, Array]:
-    """Of a sensor readings less what is expected (K,), the standard deviation of that, and how far off is usual: of the second
-    look and 3 of them, else the detector's own residual, its threshold and that.
+def _differences(found: Diagnosis, i: int) -> tuple[Array, Array]:
+    """Of a sensor how far its readings are from what is expected (K,), and how far is usual: 3 standard deviations of the
+    second look. Without that the detector's residual over its threshold, and 1.
     """
     if found.after is not None:
-        return found.after.error[:, i], found.after.sd[:, i], 3 * found.after.sd[:, i]
-    threshold = np.where(np.isfinite(found.decisions.threshold[:, i]), found.decisions.threshold[:, i], np.nan)
-    return found.decisions.residual[:, i], threshold, threshold
+        return found.after.error[:, i], 3 * found.after.sd[:, i]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        over = found.decisions.residual[:, i] / found.decisions.threshold[:, i]
+    return over, np.ones_like(over)
 
 
 def _strip(axes: Axes, found: Diagnosis, events: Sequence[Event], window: tuple[float, float]) -> None:
