@@ -136,13 +136,13 @@ def sentence(e: Event, words: Words, clock: Clock) -> str:
 
 def by_importance(events: Sequence[Event], passing: Sequence[Event] = ()) -> list[Event]:
     """Events, the most important first: sensors, the process, what was not learnt, what is undecided, and last what is
-    improbable, or `passing`; of each what still acts, then the largest.
+    improbable, or `passing`; of each what is certain, then what still acts, then the largest.
     """
     ended = set(map(id, passing))
 
-    def key(e: Event) -> tuple[bool, int, bool, float, float]:
+    def key(e: Event) -> tuple[bool, int, bool, bool, float, float]:
         size = abs(e.sigmas) if math.isfinite(e.sigmas) else 0.0
-        return (id(e) in ended, 4 if e.confidence < EVEN else ORDER[e.kind], not e.open, -size, e.start)
+        return (id(e) in ended, 4 if e.confidence < EVEN else ORDER[e.kind], e.confidence < CERTAIN, not e.open, -size, e.start)
 
     return sorted(events, key=key)
 
@@ -182,7 +182,7 @@ def _sensor(e: Event, w: Wording, words: Words, when: str) -> str:
     size, side = size_of(e, words), "too high" if e.size > 0 else "too low"
     off = f"{size} {side}" if size else "wrong"
     did = (acts if e.open else closed).format(size=off, by=f" (by {size})" if size else "", of=f" of {size}" if size else "")
-    doubt = "perhaps " if e.confidence < EVEN else "probably " if e.confidence < CERTAIN else ""
+    doubt = "perhaps " if e.confidence <= EVEN else "probably " if e.confidence < CERTAIN else ""
     instead = f" It may be {_either(others_of(e, words))} instead." if doubt and e.alternatives else ""
     check = _stop(w.check) or CHECKS.get(e.fault, CHECKS[""])
     return f"{_first(f'{doubt}{w}')} {did} {when}; {stays if e.open else over}.{instead} {check}"

@@ -24,6 +24,7 @@ MOST_ROWS = 10
 MOST_COLUMNS = 500  # of the overview
 MOST_LABELS = 100
 MOST_POINTS = 1500  # of a line
+MANY = 500  # events, of which more are drawn as pixels
 MOST_DOTS = 200  # of a line whose points are marked
 MOST_BESIDE = 3  # other verdicts beside that of a finding
 LONGEST = 32  # characters of a name beside an axis
@@ -57,8 +58,7 @@ def time_line(axes: Axes, found: Diagnosis, most: int = MOST_ROWS) -> None:
     step = _step(found.t)
     for row, one in enumerate(shown):
         own = [e for e in found.events if (e.kind, e.hypothesis) == one]
-        bars = [(float(at(e.start)), float(at(e.end + step) - at(e.start))) for e in own]
-        axes.broken_barh(bars, (row - 0.35, 0.7), color=KINDS[one[0]][1])
+        _bars(axes, found, own, (float(found.t[0]), float(found.t[-1])), row, KINDS[one[0]][1])
     shade(axes, [(float(at(g.start)), float(at(g.end))) for g in found.gaps], color="0.85", zorder=0)
     labels = [named[one] for one in shown]
     for row, (kind, name) in enumerate(shown):
@@ -70,6 +70,23 @@ def time_line(axes: Axes, found: Diagnosis, most: int = MOST_ROWS) -> None:
     axes.set(xlim=(float(at(found.t[0])), float(at(found.t[-1] + step))), ylim=(max(len(labels), 4) - 0.4, -0.6))
     at.label_on(axes)
     axes.grid(visible=False, axis="y")
+
+
+def _bars(axes: Axes, found: Diagnosis, events: Sequence[Event], window: tuple[float, float], row: int, colour: str) -> None:
+    """A bar for each event, one for those that are too near each other in a window (s) to be seen apart."""
+    at, step, least = time_axis(found), _step(found.t), (window[1] - window[0]) / MOST_COLUMNS
+    joined: list[list[float]] = []
+    for start, end in sorted((e.start, e.end + step) for e in events):
+        if joined and start - joined[-1][1] < least:
+            joined[-1][1] = max(end, joined[-1][1])
+        else:
+            joined.append([start, end])
+    axes.broken_barh(
+        [(float(at(a)), float(at(b) - at(a))) for a, b in joined],
+        (row - 0.35, 0.7),
+        color=colour,
+        rasterized=len(found.events) > MANY,
+    )
 
 
 def _kinds(found: Diagnosis, sensor: str) -> str:
@@ -110,7 +127,9 @@ def overview(plant: Plant, y: Array, found: Diagnosis) -> Figure:
     starts, ends = (
         [float(at(when)) for when in times] for times in ([e.start for e in faults], [e.end + step for e in faults])
     )
-    axes.hlines(rows, starts, ends, color=COLOURS[1], linewidth=2.5, capstyle="butt", clip_on=False)
+    axes.hlines(
+        rows, starts, ends, color=COLOURS[1], linewidth=2.5, capstyle="butt", clip_on=False, rasterized=len(faults) > MANY
+    )
     shade(axes, [(float(at(g.start)), float(at(g.end))) for g in found.gaps], color="0.85", zorder=3)
     faulty = {e.hypothesis for e in found.events}
     labels = [(i, name) for i, name in enumerate(names) if len(names) <= MOST_LABELS or name in faulty]
@@ -211,14 +230,12 @@ def _differences(found: Diagnosis, i: int) -> tuple[Array, Array]:
 
 def _strip(axes: Axes, found: Diagnosis, events: Sequence[Event], window: tuple[float, float]) -> None:
     """The verdicts in a window (s): a bar for each event, a row for this finding and up to MOST_BESIDE others."""
-    at, step = time_axis(found), _step(found.t)
     one = (events[0].kind, events[0].hypothesis)
     inside = [e for e in found.findings if e.start <= window[1] and e.end >= window[0]]
     rows = list(dict.fromkeys([one, *((e.kind, e.hypothesis) for e in inside)]))[: MOST_BESIDE + 1]
     for row, (kind, hypothesis) in enumerate(rows):
         own = [e for e in inside if (e.kind, e.hypothesis) == (kind, hypothesis)]
-        bars = [(float(at(e.start)), float(at(e.end + step) - at(e.start))) for e in own]
-        axes.broken_barh(bars, (row - 0.4, 0.8), color=KINDS[kind][1])
+        _bars(axes, found, own, window, row, KINDS[kind][1])
     labels = {(e.kind, e.hypothesis): label(found, e, most=1) for e in inside}
     axes.set_yticks(range(len(rows)), [labels.get(row, row[1]) for row in rows], fontsize=7)
     axes.set_ylim(len(rows) - 0.5, -0.5)

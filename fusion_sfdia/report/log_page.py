@@ -29,9 +29,9 @@ from fusion_sfdia.report.page import inline, page_environment, part
 from fusion_sfdia.report.plots import panels
 
 SIDED = ("bias", "drift")  # faults of which too high and too low are two findings
-MOST_EVENTS = 200  # of one finding
+MOST_EVENTS = (200, 1000)  # of one finding, and of all together
 MOST_SENTENCES = 3  # of one finding; of one with more the first alone, and how many there are
-MOST_FIGURES = 60
+MOST_FIGURES = 32
 MOST_LINES = 100  # of the time line
 POINTS = (100, 500, 8000)  # of a line at least and at most, and of all figures together
 WORDS = {"sensor": "sensor", "process": "process", "outside": "not learnt", "undecided": "undecided", "other": "other fault"}
@@ -66,6 +66,7 @@ def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosi
             groups.setdefault((e.kind, e.hypothesis, e.fault, e.fault in SIDED and e.size < 0), []).append(e)
     least, most, all_of_them = POINTS
     points = min(most, max(least, all_of_them // max(len(groups), 1)))
+    rows = min(MOST_EVENTS[0], max(1, MOST_EVENTS[1] // max(len(groups), 1)))
     lines, strips = [], []
     if len(found.events) > 1:
         caption = "When each was found: on the left what, on the right which kind of fault. Grey: no rows in the log."
@@ -81,7 +82,7 @@ def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosi
         figure = None
         if drawable and k < MOST_FIGURES:
             figure = _drawn(f"f{k}", _title(found, own), partial(near, plant, y, found, own, points), _caption(own))
-        findings.append(_finding(found, own) | {"title": _title(found, own), "figure": figure})
+        findings.append(_finding(found, own, rows) | {"title": _title(found, own), "figure": figure})
     page = (
         page_environment()
         .from_string(part("log_page.html.j2"))
@@ -101,8 +102,8 @@ def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosi
             remarks=[*(line for line in found.remarks if line != found.limit), *about.notes],
             limit=found.limit,
             findings=findings,
-            passing=[found.sentence(e) for e in found.passing[:MOST_EVENTS]],
-            hidden=max(0, len(passing) - MOST_EVENTS),
+            passing=[found.sentence(e) for e in found.passing[: MOST_EVENTS[0]]],
+            hidden=max(0, len(passing) - MOST_EVENTS[0]),
             drawn=sum(f["figure"] is not None for f in findings),
             lines=lines,
             strips=strips,
@@ -114,7 +115,7 @@ def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosi
 
 
 def _drawn(name: str, title: str, draw: Callable[[], Figure], caption: str) -> Drawn:
-    return Drawn(title, inline(figure_svg(name, draw), name, title), caption)
+    return Drawn(title, inline(figure_svg(name, draw, text="none"), name, title), caption)
 
 
 def _time_line(found: Diagnosis) -> Figure:
@@ -138,8 +139,8 @@ def _caption(own: Sequence[Event]) -> str:
     return f"{which}{when}, in the middle how far they are from what is expected (grey is usual), below what was found."
 
 
-def _finding(found: Diagnosis, own: Sequence[Event]) -> dict[str, Any]:
-    """A finding as texts; own: its events, the most important first."""
+def _finding(found: Diagnosis, own: Sequence[Event], most: int) -> dict[str, Any]:
+    """A finding as texts; own: its events, the most important first, of which `most` have a row."""
     first, many = own[0], len(own) > MOST_SENTENCES
     start, end = min(e.start for e in own), max(e.end for e in own)
     more = f"In all {len(own)} times {found.clock.span(start, end)}: each is among the numbers of this finding." if many else ""
@@ -150,8 +151,8 @@ def _finding(found: Diagnosis, own: Sequence[Event]) -> dict[str, Any]:
         "more": more,
         "confidence": confidence_of(first),
         "others": ", ".join(others_of(first, found.words)),
-        "rows": [_row(found, e) for e in own[:MOST_EVENTS]],
-        "hidden": max(0, len(own) - MOST_EVENTS),
+        "rows": [_row(found, e) for e in own[:most]],
+        "hidden": max(0, len(own) - most),
     }
 
 

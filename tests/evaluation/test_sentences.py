@@ -105,7 +105,10 @@ def test_what_is_undecided_names_all_suspects_in_words() -> None:
 def test_sensors_are_first_then_the_process_then_what_is_undecided() -> None:
     undecided = UndecidedEvent("l1", 0.0, 60.0, np.nan, "", True, ("l1",))
     large, unlikely = replace(TT04, hypothesis="l1", sigmas=-9.0), replace(TT04, confidence=0.3)
-    assert by_importance([undecided, OUTLET, unlikely, TT04, large]) == [large, TT04, OUTLET, undecided, unlikely]
+    likely = replace(TT04, confidence=0.6, sigmas=20.0)
+    given = [undecided, OUTLET, unlikely, likely, TT04, large]
+    assert by_importance(given) == [large, TT04, likely, OUTLET, undecided, unlikely]
+    assert [sentence(replace(TT04, confidence=p), WORDS, NIGHT).split()[0] for p in (0.5, 0.51)] == ["Perhaps", "Probably"]
     assert by_importance([undecided, OUTLET], passing=[undecided]) == [OUTLET, undecided]
     assert counted([undecided, OUTLET, TT04, large]) == "2 faulty sensors, 1 change of the process, 1 open question"
 
