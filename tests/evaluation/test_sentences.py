@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from datetime import datetime
 from zoneinfo import ZoneInfo
@@ -17,12 +18,14 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor
 from fusion_sfdia.evaluation.events import Event, ProcessEvent, UndecidedEvent, UnnamedEvent
 from fusion_sfdia.evaluation.sentences import Wording, by_importance, counted, sentence, size_of, wordings
+from fusion_sfdia.live.changes import Change
+from fusion_sfdia.live.lines import change_line
 
 NIGHT = Clock(datetime(2026, 3, 1, 2, 7, tzinfo=ZoneInfo("Europe/Amsterdam")))
 WORDS = {
     "TT04": Wording("sensor", "TT04", "Mixed-air temperature"),
     "l1": Wording("sensor", "l1", check="Tap the float"),
-    "outlet": Wording("parameter", "outlet", low=-5e-4, high=5e-4),
+    "outlet": Wording("parameter", "outlet", high=5e-4),
     "error of inflow": Wording("input", "inflow", "flow of the pump", low=-1e-3, high=1e-3),
     "equation of level": Wording("state", "level", "the tank"),
 }
@@ -111,6 +114,11 @@ def test_sensors_are_first_then_the_process_then_what_is_undecided() -> None:
     assert [sentence(replace(TT04, confidence=p), WORDS, NIGHT).split()[0] for p in (0.5, 0.51)] == ["Perhaps", "Probably"]
     assert by_importance([undecided, OUTLET], passing=[undecided]) == [OUTLET, undecided]
     assert counted([undecided, OUTLET, TT04, large]) == "2 faulty sensors, 1 change of the process, 1 open question"
+
+
+def test_a_line_of_a_watch_has_the_sentence() -> None:
+    line = json.loads(change_line(Change(1, "opened", 0.0, TT04), NIGHT, WORDS))
+    assert line["text"] == sentence(TT04, WORDS, NIGHT) and line["hypothesis"] == "TT04"
 
 
 def test_words_are_what_the_plant_states() -> None:

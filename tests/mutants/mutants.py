@@ -968,4 +968,18 @@ MUTANTS = (
         "scale = min(scale, 1.0)",
         "tests/tuning/test_tune.py::test_a_rate_that_the_log_cannot_count_is_extrapolated_and_stated",
     ),
+    Mutant(
+        "fusion_sfdia/evaluation/sentences.py",
+        '"too high" if e.size > 0',
+        '"too high" if e.size < 0',
+        "tests/evaluation/test_sentences.py::test_a_sensor_is_told_as_a_technician_would",
+        quick=True,
+    ),
+    Mutant(
+        "fusion_sfdia/evaluation/sentences.py",
+        "e.size / e.nominal < -1",
+        "e.size / e.nominal < -2",
+        "tests/evaluation/test_sentences.py::test_a_size_that_cannot_be_is_not_printed",
+        quick=True,
+    ),
 )
