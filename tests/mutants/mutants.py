@@ -973,13 +973,11 @@ MUTANTS = (
         '"too high" if e.size > 0',
         '"too high" if e.size < 0',
         "tests/evaluation/test_sentences.py::test_a_sensor_is_told_as_a_technician_would",
-        quick=True,
     ),
     Mutant(
         "fusion_sfdia/evaluation/sentences.py",
         "e.size / e.nominal < -1",
         "e.size / e.nominal < -2",
         "tests/evaluation/test_sentences.py::test_a_size_that_cannot_be_is_not_printed",
-        quick=True,
     ),
 )
