@@ -69,7 +69,7 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     from fusion_sfdia.study.experiments import drawing
 
     for module, name in ((drawing, "write_figure"), (log_report, "write_figure"), (log_page, "figure_svg")):
-        monkeypatch.setattr(module, name, lambda *_: "<svg></svg>")
+        monkeypatch.setattr(module, name, lambda *_, **__: "<svg></svg>")
 
 
 @pytest.fixture

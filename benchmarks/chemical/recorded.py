@@ -26,7 +26,7 @@ from fusion_sfdia.report.content import Figure, ResultTable, Summary
 from fusion_sfdia.report.metrics import rate_over_runs
 from fusion_sfdia.report.plots import Bars, bars, legend_above, panels
 from fusion_sfdia.report.results import Row, row_of
-from fusion_sfdia.report.sentences import listed, pick
+from fusion_sfdia.report.scenario_sentences import listed, pick
 from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task
 from fusion_sfdia.study.isolation_metrics import exact_isolation
 

@@ -40,7 +40,7 @@ from fusion_sfdia.report.content import Figure, ResultTable, Summary
 from fusion_sfdia.report.metrics import Estimate, mean_over_runs
 from fusion_sfdia.report.plots import Bars, bars, legend_above, panels
 from fusion_sfdia.report.results import Row
-from fusion_sfdia.report.sentences import pick
+from fusion_sfdia.report.scenario_sentences import pick
 from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task
 
 NAME = "engine/minimum-fault"

@@ -32,7 +32,7 @@ from fusion_sfdia.models.marine_engine.published import DELAYS, Delay, Published
 from fusion_sfdia.report.content import ResultTable, Summary
 from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.results import Row
-from fusion_sfdia.report.sentences import listed, pick, span
+from fusion_sfdia.report.scenario_sentences import listed, pick, span
 from fusion_sfdia.study.diagnosis_metrics import Response
 from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 

@@ -33,7 +33,7 @@ from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.content import Figure, Summary
 from fusion_sfdia.report.metrics import Estimate, share
 from fusion_sfdia.report.results import Row
-from fusion_sfdia.report.sentences import pick, span
+from fusion_sfdia.report.scenario_sentences import pick, span
 from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 
 Array = NDArray[Any]

@@ -19,7 +19,7 @@ from fusion_sfdia.report.content import Figure, Summary
 from fusion_sfdia.report.metrics import Estimate, mean_over_runs
 from fusion_sfdia.report.plots import COLOURS, DASHES, MARKERS, legend_above, panels
 from fusion_sfdia.report.results import Row
-from fusion_sfdia.report.sentences import listed, pick, span
+from fusion_sfdia.report.scenario_sentences import listed, pick, span
 from fusion_sfdia.study.diagnosis_metrics import smallest_detected
 from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 

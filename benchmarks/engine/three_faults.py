@@ -17,7 +17,7 @@ from fusion_sfdia.models.marine_engine.published import (
 )
 from fusion_sfdia.report.content import Summary
 from fusion_sfdia.report.results import Row
-from fusion_sfdia.report.sentences import listed, pick
+from fusion_sfdia.report.scenario_sentences import listed, pick
 from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task
 
 NAME, FAULT = "engine/three-faults", "three-faults"

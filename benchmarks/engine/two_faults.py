@@ -7,7 +7,7 @@ from fusion_sfdia.benchmarks.engine.support.published_runs import compare_with_p
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, SAMPLING, Results, by_detector, tasks, trial
 from fusion_sfdia.models.marine_engine.published import TWO_FAULTS
 from fusion_sfdia.report.content import Summary
-from fusion_sfdia.report.sentences import listed, pick
+from fusion_sfdia.report.scenario_sentences import listed, pick
 from fusion_sfdia.study.experiments.scenario import Scenario, Settings, Task
 
 NAME, FAULT = "engine/two-faults", "two-faults"

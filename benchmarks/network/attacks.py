@@ -25,7 +25,7 @@ from fusion_sfdia.models.power_network.simulation import NetworkSample
 from fusion_sfdia.report.content import ResultTable, Summary
 from fusion_sfdia.report.metrics import mean_over_runs, share
 from fusion_sfdia.report.results import Row
-from fusion_sfdia.report.sentences import span
+from fusion_sfdia.report.scenario_sentences import span
 from fusion_sfdia.study.experiments.scenario import Scenario, Settings, Task, seed_blocks
 
 Array = NDArray[Any]

@@ -26,7 +26,7 @@ from fusion_sfdia.models.power_network.published import DETERMINISTIC_MISSES, GO
 from fusion_sfdia.report.content import ResultTable, Summary
 from fusion_sfdia.report.metrics import mean_over_runs, share
 from fusion_sfdia.report.results import Row
-from fusion_sfdia.report.sentences import pick, span
+from fusion_sfdia.report.scenario_sentences import pick, span
 from fusion_sfdia.study.experiments.scenario import Scenario, Settings, Task, seed_blocks
 
 NAME, FAULT, AREA = "network/governor", "governor", GOVERNOR.fault.area

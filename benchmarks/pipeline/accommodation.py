@@ -16,7 +16,7 @@ from fusion_sfdia.report.content import Figure, ResultTable, Summary
 from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.plots import bars, legend_above, panels
 from fusion_sfdia.report.results import Row
-from fusion_sfdia.report.sentences import left_out, listed, pick, span
+from fusion_sfdia.report.scenario_sentences import left_out, listed, pick, span
 from fusion_sfdia.study.estimation_metrics import root_mean_square
 from fusion_sfdia.study.experiments.scenario import Scenario, Settings, Task
 from fusion_sfdia.study.trials import READINGS

@@ -22,7 +22,7 @@ from fusion_sfdia.report.content import Figure, Summary
 from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.plots import bars, legend_above, panels
 from fusion_sfdia.report.results import Published, Row
-from fusion_sfdia.report.sentences import left_out, listed, pick
+from fusion_sfdia.report.scenario_sentences import left_out, listed, pick
 from fusion_sfdia.study import detection_metrics as metrics
 from fusion_sfdia.study.experiments.scenario import Scenario, Settings, Task
 

@@ -15,7 +15,7 @@ from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.report.content import Figure, Summary
 from fusion_sfdia.report.metrics import mean_over_runs
 from fusion_sfdia.report.plots import isolation_matrix, panels
-from fusion_sfdia.report.sentences import left_out
+from fusion_sfdia.report.scenario_sentences import left_out
 from fusion_sfdia.study import detection_metrics as metrics
 from fusion_sfdia.study.experiments.scenario import Scenario, Settings, Task
 from fusion_sfdia.study.isolation_metrics import (

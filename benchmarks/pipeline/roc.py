@@ -26,7 +26,7 @@ from fusion_sfdia.models.gas_pipeline.published import FAULTS, QUANTITIES
 from fusion_sfdia.report.content import Figure, Summary
 from fusion_sfdia.report.plots import panels, roc_curves
 from fusion_sfdia.report.results import Row
-from fusion_sfdia.report.sentences import left_out, listed, pick, span
+from fusion_sfdia.report.scenario_sentences import left_out, listed, pick, span
 from fusion_sfdia.study import detection_metrics as metrics
 from fusion_sfdia.study.experiments.scenario import Scenario, Settings, Task
 

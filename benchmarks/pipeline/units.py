@@ -19,7 +19,7 @@ from fusion_sfdia.report.content import Figure, Summary
 from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.plots import bars, legend_above, panels
 from fusion_sfdia.report.results import Row
-from fusion_sfdia.report.sentences import left_out, span
+from fusion_sfdia.report.scenario_sentences import left_out, span
 from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task
 from fusion_sfdia.study.isolation_metrics import isolation_recall
 

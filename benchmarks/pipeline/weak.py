@@ -12,7 +12,7 @@ from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.report.content import Figure, Summary
 from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.plots import bars, legend_above, panels
-from fusion_sfdia.report.sentences import left_out, listed, pick
+from fusion_sfdia.report.scenario_sentences import left_out, listed, pick
 from fusion_sfdia.study.experiments.scenario import Scenario, Settings, Task
 from fusion_sfdia.study.isolation_metrics import exact_isolation, false_flag_rate, isolation_recall
 

@@ -226,8 +226,8 @@ def _untuned(chosen: argparse.Namespace) -> str:
     """What to do where a model is suspect that was not tuned."""
     given = "".join(f" --{o} {getattr(chosen, o)}" for o in ("plant", "detector", "map") if getattr(chosen, o) is not None)
     return (
-        "the model is suspect and was not tuned to the real plant, so that events may be its errors: tune it with "
-        f"`fusion-sfdia tune{given} --healthy HEALTHY.csv`, on a log without a fault, then diagnose with --tuned tuned.toml"
+        f"the model was not tuned to the real plant: `fusion-sfdia tune{given} --healthy HEALTHY.csv` does so, on a log "
+        "without a fault, then diagnose with --tuned tuned.toml"
     )
 
 

@@ -103,7 +103,7 @@ def monitored(chosen: argparse.Namespace, out: Path, learnt: Any, say: Any) -> i
     from fusion_sfdia.common.plain_text import plain
     from fusion_sfdia.report.document import as_json
     from fusion_sfdia.report.log_page import About
-    from fusion_sfdia.report.log_report import OF_BEFORE, OWN_FILE, files, require_apart, write_diagnosis
+    from fusion_sfdia.report.log_report import OF_BEFORE, OWN_FILE, as_text, files, require_apart, write_diagnosis
     from fusion_sfdia.report.log_units import LogUnits
     from fusion_sfdia.report.progress import working
     from fusion_sfdia.report.sample_tables import require_tables
@@ -117,12 +117,13 @@ def monitored(chosen: argparse.Namespace, out: Path, learnt: Any, say: Any) -> i
         say(f"{chosen.data}:\n{indent(str(data), '  ')}")
         with printed_warnings(), working("diagnosing"):
             found, log = monitor.diagnose(data), monitor.on_grid(data.log)
+        of_log = LogUnits(monitor.plant, data.columns)
         about = About(chosen.data.name, "the monitor", basis="judged by healthy logs, without a model")
         with all_or_none(out, instead_of=OF_BEFORE) as new:
-            write_diagnosis(new, monitor.plant, log.y, log.u, found, about, LogUnits(monitor.plant, data.columns), suffix)
+            write_diagnosis(new, monitor.plant, log.y, log.u, found, about, of_log, suffix)
             with atomic_write(new / OWN_FILE) as file:
                 file.write(plain(f"{monitor}\n\n{found}\n"))
-    say(f"{found}\n{', '.join((OWN_FILE, *files(suffix)))}: in {out}")
+    say(f"{as_text(of_log.diagnosis(found), about.detector)}\n{', '.join((OWN_FILE, *files(suffix)))}: in {out}")
     if chosen.json:
-        print(as_json(found, LogUnits(monitor.plant, data.columns), data, about))
+        print(as_json(found, of_log, data, about))
     return exit_code(chosen, found, data)

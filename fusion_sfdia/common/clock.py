@@ -27,6 +27,38 @@ class Clock(NamedTuple):
         moment = self.moment(t)
         return None if moment is None else stamp(moment, "T")
 
+    def wall(self, t: float, within: float = 0.0) -> str:
+        """A time t (s) for people: "2026-03-01 14:20", "1205 s" without a start.
+
+        With seconds where they are not 0 and `within` (s), a duration that it begins or ends, is below an hour, and with
+        hundredths below a minute.
+        """
+        moment = self.moment(t)
+        if moment is None:
+            return f"{t:.10g} s"
+        if within >= 60.0:
+            moment = (moment + timedelta(microseconds=500_000)).replace(microsecond=0)
+        if within >= 3600.0:
+            moment = (moment + timedelta(seconds=30)).replace(second=0)
+        hundredths = f".{moment.microsecond // 10_000:02d}" if moment.microsecond >= 10_000 else ""
+        seconds = f":{moment:%S}{hundredths}" if moment.second or hundredths else ""
+        return f"{moment:%Y-%m-%d %H:%M}{seconds}"
+
+    @property
+    def zone(self) -> str:
+        """The zone of the clock for people: "Europe/Amsterdam", or "UTC+01:00"; "" without one."""
+        if self.start is None or self.start.tzinfo is None:
+            return ""
+        return str(getattr(self.start.tzinfo, "key", "")) or f"UTC{self.start.isoformat()[-6:]}"
+
+    def span(self, start: float, end: float) -> str:
+        """From one time to another (s) for people: "from 2026-03-01 14:20 to 16:05", "at 2026-03-01 14:20" of one."""
+        first, last = (self.wall(t, end - start) for t in (start, end))
+        if start == end:
+            return f"at {first}"
+        same_day = self.start is not None and first.split(" ")[0] == last.split(" ")[0]
+        return f"from {first} to {last.split(' ')[1] if same_day else last}"
+
     def moment(self, t: float) -> datetime | None:
         """A time t (s) on the wall clock, with the time zone of the start; None without a start."""
         if self.start is None or self.start.tzinfo is None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from typing import Any
 
@@ -24,6 +24,7 @@ from fusion_sfdia.diagnosis.events import (
     NO_FAULT,
     Event,
     ProcessEvent,
+    UndecidedEvent,
     events_of,
     open_questions,
     spans,
@@ -34,6 +35,7 @@ from fusion_sfdia.diagnosis.hindsight import hindsight, left_out
 from fusion_sfdia.diagnosis.hindsight_steps import Residuals
 from fusion_sfdia.diagnosis.model_health import Health, health_of
 from fusion_sfdia.diagnosis.sensor_events import alarm_rate_of, explained
+from fusion_sfdia.diagnosis.sentences import Wording, by_importance, counted, sentence, wordings
 from fusion_sfdia.plant.gaps import Gap, Track, bridged
 from fusion_sfdia.plant.log import Log, one_run
 from fusion_sfdia.plant.model_errors import RAISED, failed
@@ -56,6 +58,7 @@ class Diagnosis:
     residuals behind that and behind kinds and sizes, both None where a Diagnosis was built without them. limit: that fewer
     than half of the sensors can be isolated at once, and why; "" elsewhere. of_log: what was found in the log
     that looks like a fault and is none, in words. suspects: sensors that were not judged, since their unit looks wrong.
+    words: how people call each hypothesis, by its name.
     """
 
     events: tuple[Event, ...]
@@ -69,6 +72,7 @@ class Diagnosis:
     limit: str = ""
     of_log: tuple[str, ...] = ()
     suspects: tuple[str, ...] = ()
+    words: Mapping[str, Wording] = field(default_factory=dict)
 
     @property
     def state(self) -> Verdict:
@@ -123,6 +127,49 @@ class Diagnosis:
         if np.any(lost := self.decisions.diverged):
             return f"{found} until {self.clock.at(float(self.t[np.argmax(lost)]))}, where the estimate diverged"
         return found
+
+    @property
+    def headline(self) -> str:
+        """What was found, in a few words for people: "1 faulty sensor, 1 change of the process"; without findings "no fault",
+        or why there is no verdict.
+        """
+        passing = set(map(id, self.passing))
+        if not (found := counted([e for e in self.events if id(e) not in passing])):
+            return self.verdict
+        concluded = self._conclusion
+        parts = [found, concluded.text if concluded.verdict is Verdict.BLIND or concluded.reason else ""]
+        parts += [f"not judged: {', '.join(self.suspects)}, whose unit looks wrong"] if self.suspects else []
+        return "; ".join(part for part in parts if part)
+
+    @property
+    def findings(self) -> list[Event]:
+        """The events, the most important first, see `by_importance`."""
+        return by_importance(self.events, self.passing)
+
+    @property
+    def passing(self) -> list[Event]:
+        """The alarms that were decided, or ended, before they said anything: no part of the verdict."""
+        stand = set(map(id, open_questions(self.events, self.t)))
+        return [e for e in self.events if isinstance(e, UndecidedEvent) and id(e) not in stand]
+
+    def sentence(self, event: Event) -> str:
+        """An event in a sentence for people, and what to do, see `sentences`."""
+        return sentence(event, self.words, self.clock)
+
+    @property
+    def caution(self) -> str:
+        """What a model that may not fit means for the findings, in a sentence; "" where it fits."""
+        if self.health is None:
+            return ""
+        if self.health.suspect and self.state is Verdict.PROCESS:
+            return "If the plant is in order there, the model is not: tune it to a log without a fault."
+        if self.health.suspect:
+            return (
+                "The model does not fit these readings, so that findings may be its errors: tune it to a log without a fault."
+            )
+        if not self.health.tested:
+            return "Too few healthy readings to tell whether the model fits."
+        return "The model states more noise than there is: small faults may be missed." if self.health.cautious else ""
 
     @property
     def remarks(self) -> list[str]:
@@ -273,7 +320,18 @@ def concluded(
     events = tuple(e for e in events if e.kind != "sensor" or e.hypothesis not in unread)
     _warn(detector, log, decisions, gaps, clock, unread)
     health = health._replace(remarks=against_the_model(events, decisions, t, clock))
-    return Diagnosis(events, decisions, t, detector.process_hypotheses, clock, gaps, health, after, _limit(detector))
+    return Diagnosis(
+        events,
+        decisions,
+        t,
+        detector.process_hypotheses,
+        clock,
+        gaps,
+        health,
+        after,
+        _limit(detector),
+        words=wordings(detector),
+    )
 
 
 def model_of(detector: Detector) -> Plant:

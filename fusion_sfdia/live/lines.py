@@ -16,6 +16,7 @@ from fusion_sfdia.detectors.detector import Detector
 from fusion_sfdia.detectors.verdicts import Verdict, far_off
 from fusion_sfdia.diagnosis.changes import Change
 from fusion_sfdia.diagnosis.device_health import DeviceHealth
+from fusion_sfdia.diagnosis.sentences import Words, sentence
 from fusion_sfdia.diagnosis.watch import Sample
 from fusion_sfdia.live.status import Report
 from fusion_sfdia.plant.model_errors import RAISED
@@ -24,14 +25,16 @@ from fusion_sfdia.plant.plant import Plant
 Array = NDArray[Any]
 
 
-def change_line(change: Change, clock: Clock) -> str:
-    """{"event": "opened", "id": 1, "t": 30.0, "alarm_id": 1, "device_health": "FAILURE", ...}: an event by its fields."""
+def change_line(change: Change, clock: Clock, words: Words) -> str:
+    """{"event": "opened", "id": 1, "t": 30.0, "alarm_id": 1, "device_health": "FAILURE", ...}: an event by its fields, and in a
+    sentence as "text".
+    """
     found: dict[str, Any] = {"event": change.what, "id": change.id, **_when(change.t, clock)}
     found |= {} if change.alarm is None else {f"alarm_{name}": value for name, value in change.alarm._asdict().items()}
     found |= {} if change.device_health is None else {"device_health": change.device_health.name}
     if change.event is None:
         return _json({**found, "reason": change.reason})
-    fields = change.event.fields(clock)
+    fields = change.event.fields(clock) | {"text": sentence(change.event, words, clock)}
     known = {name: v for name, v in fields.items() if name == "size" or (v not in ("", (), None) and v == v)}
     return _json({**found, **known})
 

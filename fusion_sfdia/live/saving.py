@@ -11,6 +11,7 @@ from typing import Any
 
 from fusion_sfdia.common.files import explained
 from fusion_sfdia.diagnosis.changes import Change
+from fusion_sfdia.diagnosis.sentences import wordings
 from fusion_sfdia.diagnosis.watch import Sample, Watch
 from fusion_sfdia.live.lines import change_line, sample_line
 from fusion_sfdia.live.status import Status
@@ -57,7 +58,7 @@ class SavedWatch:
         return found
 
     def _changed(self, change: Change) -> None:
-        self.write(line := change_line(change, self.watch.clock))
+        self.write(line := change_line(change, self.watch.clock, wordings(self.watch.detector)))
         for outlet in self.outlets:
             outlet(change, line)
 

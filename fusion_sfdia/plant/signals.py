@@ -18,8 +18,9 @@ class Signal:
     process_sigma, that of the process noise over one nominal time step of the plant. None where the plant states its
     covariances itself. period: of a cyclic variable, in its unit, such as 360 for an angle in degrees: values that differ by
     it are the same, so that residuals of the sensors that measure the variable are wrapped into [-period/2, period/2), and
-    limits that are a period or more apart do not apply. Raises ValueError for a nominal value outside the limits, a negative or
-    infinite sigma, and a period that is not positive and finite.
+    limits that are a period or more apart do not apply. meaning: the quantity in words, check: what to do where it is found
+    different, both for the sentences of a diagnosis, as of `Sensor`. Raises ValueError for a nominal value outside the limits,
+    a negative or infinite sigma, and a period that is not positive and finite.
     """
 
     name: str
@@ -30,6 +31,8 @@ class Signal:
     initial_sigma: float | None = None
     process_sigma: float | None = None
     period: float | None = None
+    meaning: str = ""
+    check: str = ""
 
     def __post_init__(self) -> None:
         for what in ("nominal", "low", "high"):
@@ -57,7 +60,9 @@ class Sensor:
     the sensor's unit; None for that of the variable that it measures, if that has one. resolution: the step of the readings,
     whose rounding adds a uniform error to the noise; equal readings of a coarse sensor are then not taken as frozen. noise:
     the part of the noise that is slow, None for white noise; sigma is of both parts together. `robust-glr` then needs as much
-    more evidence against the sensor, and simulated readings have it; filters take all noise as white.
+    more evidence against the sensor, and simulated readings have it; filters take all noise as white. meaning: the quantity
+    in words ("mixed-air temperature"), check: what to do where the sensor is wrong ("Compare with a thermometer in the duct."),
+    both for the sentences of a diagnosis.
     Raises ValueError for noise or a period that is not positive and finite, noise that is missing, a negative resolution, and a
     scale of 0 or one that is not finite.
     """
@@ -73,6 +78,8 @@ class Sensor:
     period: float | None = None
     resolution: float = 0.0
     noise: SlowNoise | None = None
+    meaning: str = ""
+    check: str = ""
 
     def __post_init__(self) -> None:
         if not isinstance(self.noise, SlowNoise | None):

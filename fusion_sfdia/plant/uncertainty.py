@@ -29,7 +29,8 @@ class Parameter:
     nominal: its value in the model. sd: standard deviation of its true value about it. rate: standard deviation of its change
     within an hour (a random walk); 0 for a constant. All in its unit. treatment: "estimated"; "considered", not estimated, but
     its uncertainty counts (Schmidt 1966); "frozen", taken as nominal until a hypothesis about it is accepted.
-    source: where the spread comes from. low, high: values beyond which the model does not hold. Raises ValueError for values
+    source: where the spread comes from. low, high: values beyond which the model does not hold. meaning, check: as of `Sensor`.
+    Raises ValueError for values
     that are not finite, a spread that is not positive, a negative rate, an unknown treatment and limits that do not contain the
     nominal value.
     """
@@ -43,6 +44,8 @@ class Parameter:
     source: str = ""
     low: float = -np.inf
     high: float = np.inf
+    meaning: str = ""
+    check: str = ""
 
     def __post_init__(self) -> None:
         for what in ("nominal", "sd", "rate"):

@@ -32,10 +32,12 @@ def write_figure(folder: Path, name: str, draw: Callable[[], Figure]) -> str:
     return svg
 
 
-def figure_svg(name: str, draw: Callable[[], Figure], png: io.BytesIO | None = None) -> str:
-    """Draw a figure and return its SVG; png: where its PNG is written to, too."""
+def figure_svg(name: str, draw: Callable[[], Figure], png: io.BytesIO | None = None, text: str = "path") -> str:
+    """Draw a figure and return its SVG; png: where its PNG is written to, too. text: "path" for outlines that look the same
+    everywhere, "none" for text in the viewer's fonts, which takes less.
+    """
     svg = io.BytesIO()
-    with style(name):
+    with style(name, text):
         figure = draw()
         _as_text(figure)
         _lay_out(figure)

@@ -1,4 +1,4 @@
-"""Figures of a diagnosis: all sensors, a time line of the verdicts, each fault from near, how far the process is off."""
+"""Figures of a diagnosis: all sensors, a time line of the verdicts, each finding from near, how far the process is off."""
 
 from __future__ import annotations
 
@@ -24,6 +24,10 @@ MOST_ROWS = 10
 MOST_COLUMNS = 500  # of the overview
 MOST_LABELS = 100
 MOST_POINTS = 1500  # of a line
+MANY = 500  # events, of which more are drawn as pixels
+MOST_DOTS = 200  # of a line whose points are marked
+MOST_BESIDE = 3  # other verdicts beside that of a finding
+LONGEST = 32  # characters of a name beside an axis
 LOUD = 6.0  # standard deviations that the overview shows as the darkest
 KINDS = {  # of events: the word and the colour
     "process": ("process or model", COLOURS[1]),
@@ -45,19 +49,18 @@ def time_axis(found: Diagnosis) -> TimeAxis:
     return TimeAxis(found.clock, seconds, f"time ({unit})")
 
 
-def time_line(axes: Axes, found: Diagnosis) -> None:
-    """A bar for each event over time, a row for each hypothesis, the process first."""
+def time_line(axes: Axes, found: Diagnosis, most: int = MOST_ROWS) -> None:
+    """A bar for each event over time, a row for each hypothesis, the process first; `most` rows at most."""
     at = time_axis(found)
     rows = list(dict.fromkeys((e.kind, e.hypothesis) for e in found.events))
-    named = {e.hypothesis: listed(e.suspects, " or ", most=2) for e in found.events if isinstance(e, UndecidedEvent)}
-    shown = rows if len(rows) <= MOST_ROWS else rows[: MOST_ROWS - 1]
+    named = {(e.kind, e.hypothesis): label(found, e) for e in found.events}
+    shown = rows if len(rows) <= most else rows[: most - 1]
     step = _step(found.t)
     for row, one in enumerate(shown):
         own = [e for e in found.events if (e.kind, e.hypothesis) == one]
-        bars = [(float(at(e.start)), float(at(e.end + step) - at(e.start))) for e in own]
-        axes.broken_barh(bars, (row - 0.35, 0.7), color=KINDS[one[0]][1])
+        _bars(axes, found, own, (float(found.t[0]), float(found.t[-1])), row, KINDS[one[0]][1])
     shade(axes, [(float(at(g.start)), float(at(g.end))) for g in found.gaps], color="0.85", zorder=0)
-    labels = [named.get(name, name) for _, name in shown]
+    labels = [named[one] for one in shown]
     for row, (kind, name) in enumerate(shown):
         word = _kinds(found, name) if kind == "sensor" else KINDS[kind][0]
         axes.text(1.01, row, word, transform=axes.get_yaxis_transform(), va="center", color="0.3", fontsize=8)
@@ -67,6 +70,23 @@ def time_line(axes: Axes, found: Diagnosis) -> None:
     axes.set(xlim=(float(at(found.t[0])), float(at(found.t[-1] + step))), ylim=(max(len(labels), 4) - 0.4, -0.6))
     at.label_on(axes)
     axes.grid(visible=False, axis="y")
+
+
+def _bars(axes: Axes, found: Diagnosis, events: Sequence[Event], window: tuple[float, float], row: int, colour: str) -> None:
+    """A bar for each event, one for those that are too near each other in a window (s) to be seen apart."""
+    at, step, least = time_axis(found), _step(found.t), (window[1] - window[0]) / MOST_COLUMNS
+    joined: list[list[float]] = []
+    for start, end in sorted((e.start, e.end + step) for e in events):
+        if joined and start - joined[-1][1] < least:
+            joined[-1][1] = max(end, joined[-1][1])
+        else:
+            joined.append([start, end])
+    axes.broken_barh(
+        [(float(at(a)), float(at(b) - at(a))) for a, b in joined],
+        (row - 0.35, 0.7),
+        color=colour,
+        rasterized=len(found.events) > MANY,
+    )
 
 
 def _kinds(found: Diagnosis, sensor: str) -> str:
@@ -96,7 +116,7 @@ def overview(plant: Plant, y: Array, found: Diagnosis) -> Figure:
             z[~(np.isfinite(y[:, i]) & np.isfinite(z))] = -1.0
             cells[which[first], i] = np.maximum.reduceat(z, first)
     height = max(1.8, 0.9 + len(names) * (0.17 if len(names) <= MOST_LABELS else 0.06))
-    figure = Figure(figsize=(7.2, height), layout="constrained")
+    figure = Figure(figsize=(6.0, height), layout="constrained")
     axes = figure.subplots()
     mesh = axes.pcolormesh(
         at(edges), np.arange(len(names) + 1) - 0.5, np.ma.masked_less(cells.T, 0.0), cmap="Blues", vmin=0, vmax=LOUD,
@@ -107,7 +127,9 @@ def overview(plant: Plant, y: Array, found: Diagnosis) -> Figure:
     starts, ends = (
         [float(at(when)) for when in times] for times in ([e.start for e in faults], [e.end + step for e in faults])
     )
-    axes.hlines(rows, starts, ends, color=COLOURS[1], linewidth=2.5, capstyle="butt", clip_on=False)
+    axes.hlines(
+        rows, starts, ends, color=COLOURS[1], linewidth=2.5, capstyle="butt", clip_on=False, rasterized=len(faults) > MANY
+    )
     shade(axes, [(float(at(g.start)), float(at(g.end))) for g in found.gaps], color="0.85", zorder=3)
     faulty = {e.hypothesis for e in found.events}
     labels = [(i, name) for i, name in enumerate(names) if len(names) <= MOST_LABELS or name in faulty]
@@ -122,41 +144,109 @@ def overview(plant: Plant, y: Array, found: Diagnosis) -> Figure:
     return figure
 
 
-def zoom(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event]) -> Figure:
-    """Faults of one sensor from near: above its readings (K, N) and what the other sensors predict, below the difference.
+def near(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event], points: int = MOST_POINTS) -> Figure:
+    """A finding from near, about the first of its events and those of the others that follow each other: readings (K, N) of its
+    sensor with what is expected, the difference between them, and the verdicts. Of a finding that is no sensor the readings are
+    those that are furthest off.
 
-    Readings have dots where all of them are drawn.
+    points: of a line at most; readings have dots where few are drawn.
     """
-    assert found.after is not None
-    i, t, at = plant.sensor_index(events[0].hypothesis), found.t, time_axis(found)
-    a, b = (int(np.searchsorted(t, when)) for when in (events[0].start, events[-1].end))
-    margin = max(20, (b - a) // 2)
+    i, t, at = shown_sensor(plant, found, events), found.t, time_axis(found)
+    a, b, margin = _extent(t, events)
     window = slice(max(0, a - margin), min(len(t), b + margin + 1))
-    error, sd, reading = found.after.error[window, i], found.after.sd[window, i], y[window, i]
-    recon = found.decisions.reconstruction[window, i]
-    expected = np.where(np.isfinite(error), reading - error, recon)
-    shown = thinned(reading)
-    line = ".-" if shown.size == reading.size else "-"
-    figure = Figure(figsize=(4.8, 3.9), layout="constrained")
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-    each = [v[shown] for v in (expected - 2 * sd, expected + 2 * sd, expected, reading, error / sd)]
-    times, (low, high, middle, read, difference) = broken(t[window][shown], each, found.gaps)
-    x = at(times)
-    upper.fill_between(x, low, high, color=COLOURS[2], alpha=0.25, lw=0, label="+- 2 sd")
-    upper.plot(x, middle, color=COLOURS[2], linewidth=1.2, label="predicted by the others")
+    error, usual = (v[window] for v in _differences(found, i))
+    reading, unit = y[window, i], plant.sensors[i].unit
+    expected = found.decisions.reconstruction[window, i]
+    if found.after is not None:
+        expected = np.where(np.isfinite(error), reading - error, expected)
+    shown = thinned(reading, points)
+    line = ".-" if shown.size == reading.size and shown.size < MOST_DOTS else "-"
+    figure = Figure(figsize=(4.8, 4.2), layout="constrained")
+    upper, lower, strip = figure.subplots(3, 1, sharex=True, height_ratios=(6, 3, 1.2))
+    sd = usual / 3
+    each = [v[shown] for v in (expected - 2 * sd, expected + 2 * sd, expected, reading, error, usual)]
+    times, (low, high, middle, read, difference, limit) = broken(t[window][shown], each, found.gaps)
+    x, step, (name, colour) = at(times), _step(t), KINDS[events[0].kind]
+    if found.after is not None:
+        upper.fill_between(x, low, high, color=COLOURS[2], alpha=0.25, lw=0, label="expected range (95 %)")
+    upper.plot(x, middle, color=COLOURS[2], linewidth=1.2, label="expected")
     upper.plot(x, read, line, color=COLOURS[0], markersize=3, linewidth=0.8, label="reading")
     lower.plot(x, difference, line, color=COLOURS[0], markersize=3, linewidth=0.8)
-    lower.axhspan(-3, 3, color="0.9", zorder=0)
-    step = _step(t)
+    lower.fill_between(x, -limit, limit, color="0.85", lw=0, zorder=0)
+    spans = [(float(at(e.start)), float(at(e.end + step))) for e in events]
     for axes in (upper, lower):
-        spans = [(float(at(e.start)), float(at(e.end + step))) for e in events]
-        shade(axes, spans, color=COLOURS[1], alpha=0.15, zorder=0, lw=0, label="fault" if axes is upper else None)
-    upper.set_ylabel(f"{plant.sensor_names[i]} [{plant.sensors[i].unit}]")
-    lower.set_ylabel("difference\n[sd]")
-    lower.set_xlim(float(x[0]), float(at(t[window][-1] + step)))
-    at.label_on(lower)
+        shade(axes, spans, color=colour, alpha=0.15, zorder=0, lw=0, label=f"found: {name}" if axes is upper else None)
+    _strip(strip, found, events, (float(t[window][0]), float(t[window][-1])))
+    upper.set_ylabel(f"{plant.sensor_names[i]} [{unit}]")
+    lower.set_ylabel(f"difference\n[{unit}]" if found.after is not None else "over its\nlimit")
+    strip.set_xlim(float(x[0]), float(at(t[window][-1] + step)))
+    at.label_on(strip)
     figure.legend(*upper.get_legend_handles_labels(), loc="outside upper left", ncols=4, fontsize=7, columnspacing=1.0)
     return figure
+
+
+def _extent(t: Array, events: Sequence[Event]) -> tuple[int, int, int]:
+    """First and last sample of the first event, with those of the others within a margin, and that margin in samples."""
+    a, b = (int(np.searchsorted(t, when)) for when in (events[0].start, events[0].end))
+    margin = max(20, (b - a) // 2)
+    in_time = sorted((np.searchsorted(t, (e.start, e.end)) for e in events), key=lambda span: int(span[0]))
+    for first, last in in_time:
+        if first >= a and first <= b + margin:
+            b = max(b, int(last))
+    for first, last in reversed(in_time):
+        if last <= b and last >= a - margin:
+            a = min(a, int(first))
+    return a, b, max(20, (b - a) // 2)
+
+
+def shown_sensor(plant: Plant, found: Diagnosis, events: Sequence[Event]) -> int:
+    """The position of the sensor of a finding; of one that is none the sensor that is furthest off meanwhile, of an undecided
+    one among its suspects, if there are any.
+    """
+    names = [events[0].hypothesis, *(events[0].suspects if isinstance(events[0], UndecidedEvent) else ())]
+    own = [plant.sensor_index(name) for name in names if name in plant.sensor_names] or list(range(len(plant.sensors)))
+    within = np.zeros(len(found.t), bool)
+    for e in events:
+        within |= (found.t >= e.start) & (found.t <= e.end)
+    off = []
+    for i in own:
+        error, usual = _differences(found, i)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            z = np.abs(error[within] / usual[within])
+        off.append(float(np.mean(z[np.isfinite(z)])) if np.any(np.isfinite(z)) else -1.0)
+    return own[int(np.argmax(off))]
+
+
+def _differences(found: Diagnosis, i: int) -> tuple[Array, Array]:
+    """Of a sensor how far its readings are from what is expected (K,), and how far is usual: 3 standard deviations of the
+    second look. Without that the detector's residual over its threshold, and 1.
+    """
+    if found.after is not None:
+        return found.after.error[:, i], 3 * found.after.sd[:, i]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        over = found.decisions.residual[:, i] / found.decisions.threshold[:, i]
+    return over, np.ones_like(over)
+
+
+def _strip(axes: Axes, found: Diagnosis, events: Sequence[Event], window: tuple[float, float]) -> None:
+    """The verdicts in a window (s): a bar for each event, a row for this finding and up to MOST_BESIDE others."""
+    one = (events[0].kind, events[0].hypothesis)
+    inside = [e for e in found.findings if e.start <= window[1] and e.end >= window[0]]
+    rows = list(dict.fromkeys([one, *((e.kind, e.hypothesis) for e in inside)]))[: MOST_BESIDE + 1]
+    for row, (kind, hypothesis) in enumerate(rows):
+        own = [e for e in inside if (e.kind, e.hypothesis) == (kind, hypothesis)]
+        _bars(axes, found, own, window, row, KINDS[kind][1])
+    labels = {(e.kind, e.hypothesis): label(found, e, most=1) for e in inside}
+    axes.set_yticks(range(len(rows)), [labels.get(row, row[1]) for row in rows], fontsize=7)
+    axes.set_ylim(len(rows) - 0.5, -0.5)
+    axes.grid(visible=False, axis="y")
+
+
+def label(found: Diagnosis, e: Event, most: int = 2) -> str:
+    """The name of an event beside an axis: of an undecided one those of the first suspects."""
+    names = e.suspects if isinstance(e, UndecidedEvent) else (e.hypothesis,)
+    text = listed([found.words[name].name if name in found.words else name for name in names], " or ", most)
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…"
 
 
 def broken(t: Array, series: Sequence[Array], gaps: Sequence[Gap]) -> tuple[Array, list[Array]]:
@@ -166,11 +256,11 @@ def broken(t: Array, series: Sequence[Array], gaps: Sequence[Gap]) -> tuple[Arra
     return np.insert(t, over, t[over]), [np.insert(v, over, np.nan) for v in series]
 
 
-def thinned(values: Array) -> Array:
-    """Positions (k,) among values (K,) that keep lowest and highest of each of many parts."""
-    if values.size <= MOST_POINTS:
+def thinned(values: Array, most: int = MOST_POINTS) -> Array:
+    """Positions (k,) among values (K,), about `most`, that keep lowest and highest of each of many parts."""
+    if values.size <= most:
         return np.arange(values.size)
-    part, (length, longer) = np.arange(MOST_POINTS // 2), divmod(values.size, MOST_POINTS // 2)
+    part, (length, longer) = np.arange(most // 2), divmod(values.size, most // 2)
     starts = part * length + np.minimum(part, longer)
     low, high = (_first_lowest(np.where(np.isfinite(values), sign * values, np.inf), starts) for sign in (1, -1))
     return np.unique([0, values.size - 1, *low, *high])

@@ -1,9 +1,12 @@
-"""report.html of a diagnosis: one file that needs nothing else, for a colleague who did not run it."""
+"""report.html of a diagnosis: one file that needs nothing else, to be forwarded to someone who did not run it.
+
+First what was found, a sentence each, then each finding with its picture; statistics are folded.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,16 +18,23 @@ from numpy.typing import NDArray
 
 from fusion_sfdia import __version__
 from fusion_sfdia.common.files import atomic_write
+from fusion_sfdia.detectors.verdicts import Verdict
 from fusion_sfdia.diagnosis.diagnose import Diagnosis
-from fusion_sfdia.diagnosis.events import Event, ProcessEvent, with_spread, with_unit
+from fusion_sfdia.diagnosis.events import EVEN, Event
+from fusion_sfdia.diagnosis.sentences import confidence_of, others_of, size_of
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.figure_files import figure_svg
-from fusion_sfdia.report.log_figures import overview, time_line, zoom
+from fusion_sfdia.report.log_figures import near, overview, time_line
 from fusion_sfdia.report.page import inline, page_environment, part
 from fusion_sfdia.report.plots import panels
 
-MOST_EVENTS = 200
-MOST_ZOOMS = 24
+SIDED = ("bias", "drift")  # faults of which too high and too low are two findings
+MOST_EVENTS = (200, 1000)  # of one finding, and of all together
+MOST_SENTENCES = 3  # of one finding; of one with more the first alone, and how many there are
+MOST_FIGURES = 32
+MOST_LINES = 100  # of the time line
+POINTS = (100, 500, 8000)  # of a line at least and at most, and of all figures together
+WORDS = {"sensor": "sensor", "process": "process", "outside": "not learnt", "undecided": "undecided", "other": "other fault"}
 
 
 class About(NamedTuple):
@@ -49,43 +59,54 @@ class Drawn(NamedTuple):
 
 def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosis, about: About) -> None:
     """Write report.html of readings y (K, N), NaN where missing, whole or not at all; every name and text is escaped."""
-    shown = found.events[:MOST_EVENTS]
+    passing, drawable = set(map(id, found.passing)), len(found.t) > 1
+    groups: dict[tuple[str, str, str, bool], list[Event]] = {}
+    for e in found.findings:
+        if id(e) not in passing:
+            groups.setdefault((e.kind, e.hypothesis, e.fault, e.fault in SIDED and e.size < 0), []).append(e)
+    least, most, all_of_them = POINTS
+    points = min(most, max(least, all_of_them // max(len(groups), 1)))
+    rows = min(MOST_EVENTS[0], max(1, MOST_EVENTS[1] // max(len(groups), 1)))
     lines, strips = [], []
-    if found.events:
+    if len(found.events) > 1:
         caption = "When each was found: on the left what, on the right which kind of fault. Grey: no rows in the log."
-        lines = [_drawn("time-line", "Time line", lambda: _time_line(found), caption)]
-    if found.after is not None and len(found.t) > 1:
+        lines.append(_drawn("time-line", "Time line", lambda: _time_line(found), caption))
+    if found.after is not None and drawable:
         caption = (
             "Every sensor: the darker, the further its reading is from what the other sensors and the model predict. "
             "Underlined in orange: a fault. White: no reading. Grey: no rows in the log."
         )
-        strips = [_drawn("overview", "All sensors", lambda: overview(plant, y, found), caption)]
-    grouped = _by_sensor(found, plant) if found.after is not None and len(found.t) > 1 else {}
-    zooms = [
-        _drawn(f"zoom-{k}", f"{name}: {_extents(own)}", partial(zoom, plant, y, found, own), _caption(found, own))
-        for k, (name, own) in enumerate(list(grouped.items())[:MOST_ZOOMS])
-    ]
+        strips.append(_drawn("overview", "All sensors", lambda: overview(plant, y, found), caption))
+    findings = []
+    for k, own in enumerate(groups.values()):
+        figure = None
+        if drawable and k < MOST_FIGURES:
+            figure = _drawn(f"f{k}", _title(found, own), partial(near, plant, y, found, own, points), _caption(own))
+        findings.append(_finding(found, own, rows) | {"title": _title(found, own), "figure": figure})
     page = (
         page_environment()
         .from_string(part("log_page.html.j2"))
         .render(
             css=Markup(part("page.css")),
             about=about,
-            health=_sentence(found.health.line if found.health else about.basis or "model not tested"),
-            suspect=found.health.suspect if found.health else not about.basis,
-            verdict=f"{found.verdict}.",
+            health=found.health.line if found.health else about.basis or "model not tested",
+            verdict=found.verdict,
+            headline=f"{found.headline[0].upper()}{found.headline[1:]}.",
+            healthy=found.state is Verdict.HEALTHY,
+            caution=found.caution,
             samples=len(found.t),
             sensors=len(plant.sensors),
             plant=plant.name,
-            start=found.clock.at(float(found.t[0])),
-            end=found.clock.at(float(found.t[-1])),
-            remarks=[*found.remarks, *about.notes],
-            events=[_row(found, e) for e in shown],
-            hidden=len(found.events) - len(shown),
+            when=found.clock.span(float(found.t[0]), float(found.t[-1])),
+            zone=found.clock.zone,
+            remarks=[*(line for line in found.remarks if line != found.limit), *about.notes],
+            limit=found.limit,
+            findings=findings,
+            passing=[found.sentence(e) for e in found.passing[: MOST_EVENTS[0]]],
+            hidden=max(0, len(passing) - MOST_EVENTS[0]),
+            drawn=sum(f["figure"] is not None for f in findings),
             lines=lines,
             strips=strips,
-            zooms=zooms,
-            unseen=max(0, len(grouped) - MOST_ZOOMS),
             version=__version__,
         )
     )
@@ -94,70 +115,55 @@ def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosi
 
 
 def _drawn(name: str, title: str, draw: Callable[[], Figure], caption: str) -> Drawn:
-    return Drawn(title, inline(figure_svg(name, draw), name, title), caption)
+    return Drawn(title, inline(figure_svg(name, draw, text="none"), name, title), caption)
 
 
 def _time_line(found: Diagnosis) -> Figure:
     rows = len({(e.kind, e.hypothesis) for e in found.events})
-    figure, (axes,) = panels([""], columns=1, width=9.6, height=1.1 + 0.25 * min(max(rows, 4), 10))
-    time_line(axes, found)
+    figure, (axes,) = panels([""], columns=1, width=8.0, height=1.1 + 0.25 * min(max(rows, 4), MOST_LINES))
+    time_line(axes, found, MOST_LINES)
     return figure
 
 
-def _by_sensor(found: Diagnosis, plant: Plant) -> dict[str, list[Event]]:
-    """The events of each sensor that can be drawn from near, in order of time, the sensor with the largest first."""
-    grouped: dict[str, list[Event]] = {}
-    for e in found.events:
-        if e.kind == "sensor" and e.hypothesis in plant.sensor_names:
-            grouped.setdefault(e.hypothesis, []).append(e)
-    sizes = {name: max(map(_sigmas, own)) for name, own in grouped.items()}
-    return {name: grouped[name] for name in sorted(grouped, key=lambda name: -sizes[name])}
+def _title(found: Diagnosis, own: Sequence[Event]) -> str:
+    """Name and kind of a finding."""
+    e = own[0]
+    name = found.words[e.hypothesis].name if e.hypothesis in found.words else e.hypothesis
+    return f"{name}: {e.fault or WORDS[e.kind]}" if e.kind != "undecided" else "Undecided"
 
 
-def _sigmas(event: Event) -> float:
-    """The size in standard deviations, 0 where it is not known."""
-    return abs(event.sigmas) if math.isfinite(event.sigmas) else 0.0
+def _caption(own: Sequence[Event]) -> str:
+    """What the picture shows beside what its legend states."""
+    which = "Above the readings" if own[0].kind == "sensor" else "Above the readings that are furthest off meanwhile"
+    when = " at the first of these times" if len(own) > 1 else ""
+    return f"{which}{when}, in the middle how far they are from what is expected (grey is usual), below what was found."
 
 
-def _extents(events: list[Event]) -> str:
-    """Kinds and number of events, in words, those of the largest first."""
-    kinds = ", ".join(dict.fromkeys(e.fault or "fault" for e in sorted(events, key=_sigmas, reverse=True)))
-    return kinds if len(events) == 1 else f"{kinds}, {len(events)} times"
-
-
-def _caption(found: Diagnosis, events: list[Event]) -> str:
-    largest = max(events, key=_sigmas).told(found.clock)
-    return f"{largest}." if len(events) == 1 else f"{largest}; and {len(events) - 1} smaller."
-
-
-def _sentence(text: str) -> str:
-    return f"{text[0].upper()}{text[1:]}."
-
-
-def _row(found: Diagnosis, e: Event) -> dict[str, Any]:
-    """An event as texts."""
-    known, interval = math.isfinite(e.size), ""
-    size = with_unit(f"{e.size:.4g}", e.unit) if known else ""
-    if isinstance(e, ProcessEvent) and known:
-        value, sd = with_spread(e.size, e.sd)
-        size = f"{with_unit(value, e.unit)} +- {sd}"
-    if known and math.isfinite(e.low):
-        interval = f"{e.low:.4g} to {e.high:.4g}"
-    kinds = {"process": "process or model", "outside": "not learnt", "undecided": "cannot tell", "other": "other fault"}
+def _finding(found: Diagnosis, own: Sequence[Event], most: int) -> dict[str, Any]:
+    """A finding as texts; own: its events, the most important first, of which `most` have a row."""
+    first, many = own[0], len(own) > MOST_SENTENCES
+    start, end = min(e.start for e in own), max(e.end for e in own)
+    more = f"In all {len(own)} times {found.clock.span(start, end)}: each is among the numbers of this finding." if many else ""
     return {
-        "what": e.hypothesis,
-        "fault": " or ".join([e.fault, *e.fault_alternatives]) if e.fault else kinds.get(e.kind, "not named"),
-        "start": found.clock.at(e.start),
-        "end": "end of the log" if e.open else found.clock.at(e.end),
-        "size": size,
-        "interval": interval,
-        "sigmas": f"{abs(e.sigmas):.3g}" if math.isfinite(e.sigmas) else "",
-        "confidence": _probability(e.confidence),
-        "alternatives": ", ".join(e.alternatives),
+        "kind": first.kind,
+        "word": "possible" if first.confidence < EVEN else WORDS[first.kind],
+        "sentences": [found.sentence(e) for e in (own[:1] if many else own)],
+        "more": more,
+        "confidence": confidence_of(first),
+        "others": ", ".join(others_of(first, found.words)),
+        "rows": [_row(found, e) for e in own[:most]],
+        "hidden": max(0, len(own) - most),
     }
 
 
-def _probability(p: float) -> str:
-    if not math.isfinite(p):
-        return ""
-    return "> 0.99" if p > 0.99 else f"{p:.2f}"
+def _row(found: Diagnosis, e: Event) -> dict[str, str]:
+    """An event as texts, with its statistics."""
+    return {
+        "fault": " or ".join([e.fault, *e.fault_alternatives]) if e.fault else WORDS[e.kind],
+        "start": found.clock.wall(e.start),
+        "end": "end of the log" if e.open else found.clock.wall(e.end),
+        "size": size_of(e, found.words),
+        "sigmas": f"{abs(e.sigmas):.3g}" if math.isfinite(e.sigmas) and size_of(e, found.words) else "",
+        "confidence": confidence_of(e),
+        "told": e.told(found.clock),
+    }

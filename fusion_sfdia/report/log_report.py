@@ -102,14 +102,13 @@ def files(suffix: str) -> list[str]:
 
 
 def as_text(found: Diagnosis, detector: str) -> str:
-    """The diagnosis for people: whether the model fits, the verdict of a detector that tests the process, too, and one that is
-    neither healthy nor a sensor, the events.
+    """The diagnosis for people: what was found in a few words, a sentence each, the most important first; then how it is to be
+    taken, what limits the detector, and whether the model fits.
     """
-    count = len(found.events)
-    lines = [found.health.line] if found.health else []
-    lines += [found.verdict] if found.process_hypotheses or found.state not in (Verdict.HEALTHY, Verdict.SENSOR) else []
-    lines.append(f"{len(found.t)} readings, {count} event{'s' * (count != 1)} by {detector}")
-    return "\n".join([*lines, *found.remarks, *(f"  {e.told(found.clock)}" for e in found.events)])
+    lines = [f"{len(found.t)} readings by {detector}: {found.headline}"]
+    lines += [f"  {found.sentence(e)}" for e in found.findings]
+    lines += [line for line in (found.caution, *found.remarks) if line]
+    return "\n".join([*lines, *([found.health.line] if found.health else [])])
 
 
 def write_diagnosis(

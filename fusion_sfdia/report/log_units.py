@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.diagnosis.diagnose import Diagnosis
-from fusion_sfdia.diagnosis.events import Event, UndecidedEvent
+from fusion_sfdia.diagnosis.events import Event, ProcessEvent, UndecidedEvent
+from fusion_sfdia.diagnosis.sentences import Words
 from fusion_sfdia.logs.columns import Source, split_title
 from fusion_sfdia.logs.conversion import conversion
 from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.uncertainty import error_of
 
 Array = NDArray[Any]
 
@@ -21,7 +23,8 @@ Array = NDArray[Any]
 class LogUnits:
     """How the sensors of a plant are called and measured in a log, by the columns that feed them.
 
-    A sensor is shown as "flow (FI130.PV)", its tag behind it, in the unit of its column. A size, which is a difference, is
+    A sensor is shown as "flow (FI130.PV)", its tag behind it, in the unit of its column; in a sentence, where its meaning says
+    what it reads, by its tag alone. A size, which is a difference, is
     scaled and not shifted: 5 K are 5 degC. Sensors without a column and other hypotheses stay as they are.
     """
 
@@ -46,6 +49,7 @@ class LogUnits:
             sensors[c.position] = replace(
                 s, name=name, unit=c.unit or s.unit, sigma=sigma, bound=bound, period=period, resolution=step or 0.0
             )
+        self.errors = {error_of(s.name): of for s, of in zip(plant.inputs, self._inputs, strict=True)}
         self.same = bool(np.all(self.factor == 1) and np.all(self.offset == 0))  # then nothing is copied
         self.own, self.units = plant.sensor_names, tuple(s.unit for s in plant.sensors)
         self.plant = replace(plant, sensors=tuple(sensors))  # names, units and noise alone: its output is the plant's
@@ -84,6 +88,7 @@ class LogUnits:
         made = self.readings(found.decisions.reconstruction)
         return replace(
             found,
+            words=self._words(found.words),
             events=tuple(self._event(e) for e in found.events),
             decisions=replace(found.decisions, reconstruction=made),
             after=after,
@@ -95,6 +100,9 @@ class LogUnits:
         if isinstance(e, UndecidedEvent):
             suspects = tuple(map(self._named, e.suspects))
             return replace(e, hypothesis=" or ".join(suspects), suspects=suspects)
+        if isinstance(e, ProcessEvent) and (of := self.errors.get(e.hypothesis)):
+            _, unit, factor, _ = of
+            return replace(e, size=e.size / factor, sd=e.sd / abs(factor), unit=unit)
         if e.kind != "sensor" or e.hypothesis not in self.own:
             return e
         i = self.own.index(e.hypothesis)
@@ -103,6 +111,18 @@ class LogUnits:
         return replace(
             e, hypothesis=self._named(e.hypothesis), size=e.size / self.factor[i], low=ends[0], high=ends[1], unit=unit
         )
+
+    def _words(self, words: Words) -> Words:
+        """The words with tags in place of names, or behind them, and possible sizes in the units of the log."""
+        found = {}
+        for name, w in words.items():
+            shown, factor = self.tags.get(name, w.name), 1.0
+            if of := self.errors.get(name):
+                shown, _, factor, _ = of
+            both = shown if w.meaning or shown == w.name else f"{w.name} ({shown})"
+            low, high = sorted((w.low / factor, w.high / factor))
+            found[self._named(name)] = w._replace(name=both, low=low, high=high)
+        return found
 
     def _named(self, name: str) -> str:
         return self.names.get(name, name)

@@ -41,7 +41,6 @@ STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "lines.linewidth": 1.5,
     "savefig.facecolor": "white",
-    "svg.fonttype": "path",
     "text.parse_math": False,  # a title with two $ is no formula
 }
 
@@ -76,18 +75,22 @@ class TimeAxis(NamedTuple):
             zone = self.clock.start.tzinfo
             locator = AutoDateLocator(tz=zone, minticks=3, maxticks=6)  # type: ignore[no-untyped-call]
             axes.xaxis.set_major_locator(locator)
-            axes.xaxis.set_major_formatter(ConciseDateFormatter(locator, tz=zone, show_offset=False))  # type: ignore[no-untyped-call]
+            formatter: Any = ConciseDateFormatter(locator, tz=zone, show_offset=False)  # type: ignore[no-untyped-call]
+            formatter.formats[-1] = "%H:%M:%S.%f"  # of seconds, of which it leaves out zeros
+            axes.xaxis.set_major_formatter(formatter)
 
 
 MINUTES = TimeAxis(Clock(), 60.0, "time (min)")
 
 
 @contextmanager
-def style(salt: str = "fusion-sfdia") -> Iterator[None]:
-    """Within the block, figures have the project's style, whatever the user's own; salt fixes the names inside an SVG."""
+def style(salt: str = "fusion-sfdia", text: str = "path") -> Iterator[None]:
+    """Within the block, figures have the project's style, whatever the user's own; salt fixes the names inside an SVG, text
+    states how its texts are written.
+    """
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
-        matplotlib.rcParams.update({**STYLE, "svg.hashsalt": salt})
+        matplotlib.rcParams.update({**STYLE, "svg.hashsalt": salt, "svg.fonttype": text})
         yield
 
 

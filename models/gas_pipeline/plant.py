@@ -141,7 +141,10 @@ def gas_pipeline(
             Signal("m_outlet", "kg/s", first, *FLOW),
         ),
         sensors=tuple(
-            Sensor(f"{letter}_{i}", f"{letter}_{i * every}", unit, sigma=float(sigma[v]), owner="pipe", quantity=QUANTITIES[v])
+            Sensor(
+                f"{letter}_{i}", f"{letter}_{i * every}", unit, sigma=float(sigma[v]), owner="pipe", quantity=QUANTITIES[v],
+                meaning=f"{QUANTITIES[v]} at station {i}",
+            )
             for v, (letter, unit) in enumerate((("p", "Pa"), ("m", "kg/s"), ("T", "K")))
             for i in range(stations)
         ),

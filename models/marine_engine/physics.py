@@ -39,7 +39,11 @@ def engine_physics(c: EngineParameters, slip: str, x0: Array, load: float) -> Ph
     return Physics(
         name="marine-engine",
         states=tuple(Signal(n, UNIT[n[0]], float(nominal[n]), *width[n[0]]) for n in STATES),
-        inputs=(Signal("fuel_setting", "1", load, *LOADS),),
+        inputs=(
+            Signal(
+                "fuel_setting", "1", load, *LOADS, meaning="setting of the fuel rack", check="Check rack, pump and injectors."
+            ),
+        ),
         algebraic=tuple(Signal(n, UNIT[n[0]], float(nominal[n]), 0.0) for n in ALGEBRAIC),
         f=scalar.f,
         phi=scalar.phi,

@@ -79,6 +79,30 @@ SENSORS = {  # sensor: variable, in the order of K24 (29), (34), (44), (50)
     "S(4){2}": "T_charge",
     "S(4){3}": "T_compressor",
 }
+MEANING = {  # of the variables that are measured, and of the parameters that are not known
+    "fuel": "fuel injected in a cycle",
+    "p_cylinder": "pressure in the cylinder",
+    "T_cylinder": "temperature in the cylinder",
+    "torque": "torque of the engine",
+    "p_receiver": "pressure in the exhaust receiver",
+    "T_receiver": "temperature in the exhaust receiver",
+    "T_turbine": "temperature behind the turbine",
+    "p_charge": "charge-air pressure",
+    "T_charge": "charge-air temperature",
+    "T_compressor": "temperature behind the compressor",
+    "load": "load of the propeller",
+    "heat": "heat of the fuel",
+    "turbine_area": "effective area of the turbine",
+    "turbocharger_efficiency": "efficiency of the turbocharger",
+    "T_cooler": "temperature of the charge-air cooler",
+}
+CHECK = {  # of these parameters
+    "load": "Check the hull and the propeller for fouling, and the weather of that time.",
+    "heat": "Check the fuel that was bunkered.",
+    "turbine_area": "Check the turbine's nozzle ring for deposits.",
+    "turbocharger_efficiency": "Check the compressor for fouling, and wash it.",
+    "T_cooler": "Check the cooler's water side and its valves.",
+}
 PICKS = np.array([(*STATES, *ALGEBRAIC).index(v) for v in SENSORS.values()])
 SUBSYSTEMS = {  # variables of each
     "fuel pump": ("fuel",),
@@ -118,7 +142,15 @@ def marine_engine(
     plant = discretise(
         engine_physics(c, slip, x0, load),
         [
-            Sensor(name, v, UNIT[v[0]], bound=noise * float(nominal[v]), owner=owner[v], quantity=QUANTITY[v[0]])
+            Sensor(
+                name,
+                v,
+                UNIT[v[0]],
+                bound=noise * float(nominal[v]),
+                owner=owner[v],
+                quantity=QUANTITY[v[0]],
+                meaning=MEANING[v],
+            )
             for name, v in SENSORS.items()
         ],
         dt=dt,
@@ -210,7 +242,10 @@ def _uncertainty(model: _Compiled, c: EngineParameters) -> Uncertainty:
     full_injection is not declared: it only multiplies the fuel setting, whose error is. At a steady load the estimates of load
     and turbine area have the correlation -0.96, of the heat of the fuel and the error of its setting -0.80.
     """
-    parameters = [SPREAD[name].parameter(name, float(getattr(c, name))) for name in equations.UNKNOWN]
+    parameters = [
+        replace(SPREAD[name].parameter(name, float(getattr(c, name))), meaning=MEANING[name], check=CHECK[name])
+        for name in equations.UNKNOWN
+    ]
     step = Differentiable(model.step_at, model.step_and_jacobian_at)
     output = Differentiable(model.output_at, model.output_and_jacobian_at)
     errors = {"fuel_setting": FUEL_SETTING}

@@ -54,7 +54,8 @@ FOULING = 2e-4  # its change within an hour
 LEAK = 0.05  # of the inflow
 SETTING = 0.01  # of the inflow: standard deviation of the error of a pump's setting, our choice
 FINER = 4  # substeps of the high-fidelity model in one of the model
-STATES = ("level_1", "level_2")
+STATES, TANKS = ("level_1", "level_2"), ("upper", "lower")
+PUMP = "Check the pump, the valves behind it, and for leaks before the upper tank."
 ALGEBRAIC = ("flow_12", "flow_out")
 
 
@@ -115,8 +116,10 @@ def tank_physics() -> Physics:
     """The equations on arrays (..., 2)."""
     return Physics(
         name="two-tanks",
-        states=tuple(Signal(n, "m", LEVEL, *LEVELS) for n in STATES),
-        inputs=(Signal("inflow", "m3/s", INFLOW, 0.0, 2e-3),),
+        states=tuple(
+            Signal(n, "m", LEVEL, *LEVELS, meaning=f"the {which} tank") for n, which in zip(STATES, TANKS, strict=True)
+        ),
+        inputs=(Signal("inflow", "m3/s", INFLOW, 0.0, 2e-3, meaning="flow into the upper tank", check=PUMP),),
         algebraic=tuple(Signal(n, "m3/s", INFLOW) for n in ALGEBRAIC),
         f=_rates,
         phi=_flows,
@@ -147,12 +150,14 @@ def unknown(c: Tanks) -> tuple[Parameter, ...]:
             Parameter(
                 name, "m2.5/s", getattr(c, name), DISCHARGE * getattr(c, name), FOULING * getattr(c, name),
                 source="coefficients of discharge are tabulated to some 5 %; deposits of 0.02 % an hour, our choice",
+                meaning=f"opening of the {which} tank's outlet", check="Check the outlet for deposits and damage.",
             )
-            for name in ("outlet_1", "outlet_2")
+            for name, which in zip(("outlet_1", "outlet_2"), TANKS, strict=True)
         ),
         Parameter(
             "leak", "m3/s", c.leak, LEAK * INFLOW, treatment="frozen",
             source="a healthy tank has none; a twentieth of the flow is our choice of what matters",
+            meaning="leak of the lower tank", check="Check the lower tank and its fittings for leaks.",
         ),
     )  # fmt: skip
 
@@ -194,12 +199,21 @@ def two_tanks(*, swing: float = 0.0, outlet: float = 1.0) -> Plant:
         raise ValueError(f"outlet is {outlet}; expected a factor of the nominal outlets from 0.8 to 1.2")
     c = NOMINAL._replace(outlet_1=outlet * NOMINAL.outlet_1, outlet_2=outlet * NOMINAL.outlet_2)
     sensors = [
-        Sensor(name, variable, unit, sigma=NOISE * value, bound=BOUND * NOISE * value, owner=owner, quantity=quantity)
-        for name, variable, unit, value, owner, quantity in (
-            ("l1", "level_1", "m", LEVEL, "upper", "level"),
-            ("l2", "level_2", "m", LEVEL, "lower", "level"),
-            ("q12", "flow_12", "m3/s", INFLOW, "upper", "flow"),
-            ("q2", "flow_out", "m3/s", INFLOW, "lower", "flow"),
+        Sensor(
+            name,
+            variable,
+            unit,
+            sigma=NOISE * value,
+            bound=BOUND * NOISE * value,
+            owner=owner,
+            quantity=quantity,
+            meaning=meaning,
+        )
+        for name, variable, unit, value, owner, quantity, meaning in (
+            ("l1", "level_1", "m", LEVEL, "upper", "level", "level of the upper tank"),
+            ("l2", "level_2", "m", LEVEL, "lower", "level", "level of the lower tank"),
+            ("q12", "flow_12", "m3/s", INFLOW, "upper", "flow", "flow between the tanks"),
+            ("q2", "flow_out", "m3/s", INFLOW, "lower", "flow", "flow out of the lower tank"),
         )
     ]
     start, change = np.full(2, (NOISE * LEVEL) ** 2), np.full(2, (0.1 * NOISE * LEVEL) ** 2)

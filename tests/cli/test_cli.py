@@ -277,26 +277,28 @@ def test_simulate_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Pa
     assert code == 0
     assert {e["hypothesis"]: e["start"] for e in events} == {f["sensor"]: f["onset"] for f in drawn}
     code, out, _ = call(capsys, "diagnose", "--force", "--data", "log.csv", "--detector", "loo-chi2")
-    assert re.match(
-        r"model fits: NIS 0\.9\d* over 100 samples \(expected 1, suspect above 1\.3\); noise of a sensor \d\.\d times as "
-        r"large as stated, or residuals off by .* would have been seen\n120 readings, 2 events by",
+    assert out.startswith("120 readings by loo-chi2: 2 faulty sensors\n  ")
+    assert re.search(
+        r"\nmodel fits: NIS 0\.9\d* over 100 samples \(expected 1, suspect above 1\.3\); noise of a sensor \d\.\d times as "
+        r"large as stated, or residuals off by .* would have been seen\n",
         out,
     )
 
 
-def test_a_diagnosis_begins_with_the_process(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """Of a detector that tests it, too: the verdict, then the events with their kind."""
+def test_a_change_of_the_process_is_what_was_found(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """It is no model that is suspect; how to tune the model, if that is what is wrong, is last."""
     detector = f"{HELPERS / 'process_bank.py'}:ProcessBank"
     assert call(capsys, "simulate", "--plant", "two-tanks", "--steps", "20", "--out", "log.csv")[0] == 0
     chosen = ("diagnose", "--force", "--plant", "two-tanks", "--data", "log.csv", "--detector", detector)
     code, out, _ = call(capsys, *chosen)
-    assert code == 0 and out.splitlines()[:2] == [
-        "model suspect: outlet 5.0 % +- 0.8 below the model",
-        "process or model: outlet",
+    assert code == 0 and out.splitlines()[:3] == [
+        f"20 readings by {detector}: 1 change of the process",
+        "  Outlet has been 5.0 % (3.4 to 6.6) below its value in the model since 15 s; no sensor explains this. "
+        "Check this part of the plant.",
+        "If the plant is in order there, the model is not: tune it to a log without a fault.",
     ]
-    assert out.splitlines()[3] == "  outlet 5.0 % +- 0.8 below the model since 15 s: not a sensor"
     told = f"`fusion-sfdia tune --plant two-tanks --detector {detector} --healthy HEALTHY.csv`"
-    assert "the model is suspect and was not tuned" in out.splitlines()[-1] and told in out.splitlines()[-1]
+    assert "the model was not tuned to the real plant" in out.splitlines()[-1] and told in out.splitlines()[-1]
     code, out, _ = call(capsys, *chosen, "--json")
     (event,) = json.loads(out)["events"]
     assert (event["kind"], event["hypothesis"], event["start"], event["open"]) == ("process", "outlet", 15.0, True)

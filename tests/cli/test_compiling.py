@@ -45,7 +45,7 @@ def test_a_module_of_which_something_is_compiled_is_announced_once(capsys: pytes
     with announced():
         assert (one(1), two(1), other(1)) == (2, 3, 4)
     lines = "fusion-sfdia: compiling, once: {}\n"
-    assert capsys.readouterr().err == lines.format(__name__) + lines.format("core.other")
+    assert capsys.readouterr().err == lines.format(__name__) + lines.format("plant.other")
     assert gc.isenabled()
     with announced():
         one(2)

@@ -143,7 +143,7 @@ def test_diagnose_takes_a_detector_by_name() -> None:
     with pytest.raises(ValueError, match=r"unknown plant 'tanks'"):
         fit("kf-chi2", "tanks")
     with pytest.raises(
-        ValueError, match=r"plant is given together with a detector, which has its own, 'two-tanks'; leave plant out"
+        ValueError, match=r"a plant is given together with a detector, which has its own, 'two-tanks'; leave it out"
     ):
         diagnose(CentralFilter(tanks()), recording, plant=PLANT)
 

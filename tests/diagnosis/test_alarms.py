@@ -98,7 +98,7 @@ def test_alarms_are_in_the_lines_and_survive_a_restart(tmp_path: Path) -> None:
     rows = list(zip(t, y, u[:, 0], strict=True))
 
     def lines(watch: Watch, some: list[Any]) -> list[str]:
-        return [change_line(c, Clock()) for row in some for s in watch.update(*row) for c in s.changes]
+        return [change_line(c, Clock(), {}) for row in some for s in watch.update(*row) for c in s.changes]
 
     whole = Watch(LeaveOneOutBank(tanks(), window=1), refused=print)
     first = Watch(LeaveOneOutBank(tanks(), window=1), refused=print)

@@ -185,7 +185,7 @@ def test_readings_that_are_all_missing_or_impossible_are_no_verdict(value: float
     assert [(c.what, c.t) for c in found] == [("blind", rows[22][0]), ("sees again", rows[42][0])]  # one row alone is no change
     assert found[0].reason == what
     expected = {"event": "blind", "id": found[0].id, "t": rows[22][0], "device_health": "CHECK_FUNCTION", "reason": what}
-    assert json.loads(change_line(found[0], Clock())) == expected | {"alarm_id": 1, "alarm_new": True, "alarm_active": True}
+    assert json.loads(change_line(found[0], Clock(), {})) == expected | {"alarm_id": 1, "alarm_new": True, "alarm_active": True}
     written = dict(results(detector, samples[30], WRITE))
     assert written["A"] is None and written["V"] == f"no verdict: {what}"
     assert written["w"] == ("missing" if np.isnan(value) else "no verdict")

@@ -105,7 +105,7 @@ def test_states_come_and_go_with_the_events_and_are_in_the_lines() -> None:
     assert of_l1[50:80] == [OFF] * 30 and of_l1[90:] == [GOOD] * len(of_l1[90:])
     silent = of_q2.index(FAILURE)
     assert 100 < silent < 150 and set(of_q2[silent:160]) == {FAILURE} and of_q2[-1] is GOOD
-    lines = [json.loads(change_line(c, Clock())) for s in samples for c in s.changes]
+    lines = [json.loads(change_line(c, Clock(), {})) for s in samples for c in s.changes]
     assert {"FAILURE"} == {e["device_health"] for e in lines if e.get("fault") == "dropout"}
     line = json.loads(sample_line(samples[60], tanks(), watch.detector.hypotheses, Clock()))
     assert line["device_health"]["l1"] == "OFF_SPEC" and line["device_health"].keys() == set(tanks().sensor_names)

@@ -104,7 +104,7 @@ def lines_of(rows: list[Any]) -> list[str]:
 
 
 def without_stamps(line: str) -> dict[str, Any]:
-    return {name: value for name, value in json.loads(line).items() if "time" not in name}
+    return {name: value for name, value in json.loads(line).items() if "time" not in name and name != "text"}
 
 
 def watched(server: Server, tmp_path: Path, at: Callable[[dict[str, Any]], None], remarks: list[str]) -> list[dict[str, Any]]:

@@ -980,4 +980,16 @@ MUTANTS = (
         "abs(event.sigmas) < WITHIN",
         "tests/diagnosis/test_device_health.py::test_an_event_has_a_state_by_its_kind_and_size",
     ),
+    Mutant(
+        "fusion_sfdia/diagnosis/sentences.py",
+        '"too high" if e.size > 0',
+        '"too high" if e.size < 0',
+        "tests/diagnosis/test_sentences.py::test_a_sensor_is_told_as_a_technician_would",
+    ),
+    Mutant(
+        "fusion_sfdia/diagnosis/sentences.py",
+        "e.size / e.nominal < -1",
+        "e.size / e.nominal < -2",
+        "tests/diagnosis/test_sentences.py::test_a_size_that_cannot_be_is_not_printed",
+    ),
 )

@@ -54,6 +54,9 @@ def test_a_sensor_has_its_rows_its_times_and_what_the_log_calls_it() -> None:
     event = require_described(written(found(BIASED), FLOW))["events"][-1]
     assert T[event["start_row"]] == event["start"] == 105.0 and T[event["end_row"]] == event["end"] == T[-1]
     assert event["start_time"] == "2026-03-29T03:00:45+02:00"
+    assert event["text"].startswith(
+        "Flow between the tanks FI12.PV has read 0.432 m3/h (0.421 to 0.443) too high since 2026-03-29"
+    )
     of_log = event["in_log"]
     assert (of_log["tag"], of_log["unit"]) == ("FI12.PV", "m3/h")
     for name in ("size", "low", "high"):

@@ -27,7 +27,7 @@ from fusion_sfdia.report.plots import (
     roc_curves,
 )
 from fusion_sfdia.report.results import Row
-from fusion_sfdia.report.sentences import left_out, listed, pick, span
+from fusion_sfdia.report.scenario_sentences import left_out, listed, pick, span
 from fusion_sfdia.study.experiments.runner import run_scenarios
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}

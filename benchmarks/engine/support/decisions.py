@@ -16,7 +16,7 @@ from fusion_sfdia.report.content import Figure, ResultTable
 from fusion_sfdia.report.metrics import Estimate, mean_over_runs, proportion
 from fusion_sfdia.report.plots import COLOURS, Bars, bars, legend_above, panels
 from fusion_sfdia.report.results import Published, Row
-from fusion_sfdia.report.sentences import pick, span
+from fusion_sfdia.report.scenario_sentences import pick, span
 from fusion_sfdia.study.diagnosis_metrics import exoneration_performance, isolation_performance
 from fusion_sfdia.study.experiments.scenario import Arrays
 

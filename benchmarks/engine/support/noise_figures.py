@@ -15,7 +15,7 @@ from fusion_sfdia.report.content import Figure
 from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.plots import COLOURS, legend_above, panels
 from fusion_sfdia.report.results import Published, Row
-from fusion_sfdia.report.sentences import pick
+from fusion_sfdia.report.scenario_sentences import pick
 from fusion_sfdia.study.diagnosis_metrics import Response
 
 FAULTS = {"S(1){1}": 0.07, "S(2){3}": 0.65}  # share of the sensor's nominal value (K24, sec. VII)

@@ -13,7 +13,7 @@ from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE
 from fusion_sfdia.report.content import Figure, ResultTable
 from fusion_sfdia.report.plots import COLOURS, MARKERS, Bars, bars, legend_above, panels
 from fusion_sfdia.report.results import Row
-from fusion_sfdia.report.sentences import span
+from fusion_sfdia.report.scenario_sentences import span
 
 LEVELS = (0.03, 0.01, 0.003, 0.001)  # false alarms per step
 LEVEL = 0.001

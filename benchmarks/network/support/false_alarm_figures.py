@@ -29,7 +29,7 @@ from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE
 from fusion_sfdia.report.content import Figure, ResultTable
 from fusion_sfdia.report.plots import COLOURS, MARKERS, Bars, bars, legend_above, panels
 from fusion_sfdia.report.results import Row
-from fusion_sfdia.report.sentences import span
+from fusion_sfdia.report.scenario_sentences import span
 
 SYMBOLS = {  # of the groups of components
     **{f"theta, {k} sharers": f"θ\n{k} sharers" for k in (2, 3, 4)},

@@ -15,6 +15,7 @@ from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors.detector import Decision, ProcessHypothesis, joined
 from fusion_sfdia.diagnosis.diagnose import Diagnosis
 from fusion_sfdia.diagnosis.events import Event, UndecidedEvent, listed, median, spans, with_unit
+from fusion_sfdia.diagnosis.sentences import Wording
 from fusion_sfdia.learning.monitor.causes import MOVED, ONE_OF, OUTSIDE, PROCESS, RECORDER, Causes
 from fusion_sfdia.learning.monitor.channels import Channels, deviations
 from fusion_sfdia.learning.monitor.judging import Judged
@@ -148,7 +149,8 @@ def diagnosed(
     events.sort(key=lambda e: (order[e.kind], e.start, e.hypothesis))
     gaps = tuple(Gap(float(a.t[-1]), float(b.t[0]), round(float(b.t[0] - a.t[-1]) / dt), True) for a, b in pairwise(found))
     decisions = joined([decisions_of(channels, v) for v in found])
-    return Diagnosis(tuple(events), decisions, t, tested(channels), clock, gaps, of_log=of_log)
+    words = {s.name: Wording("sensor", s.name) for s in channels.sensors}
+    return Diagnosis(tuple(events), decisions, t, tested(channels), clock, gaps, of_log=of_log, words=words)
 
 
 def plant_of(channels: Channels, dt: float) -> Plant:

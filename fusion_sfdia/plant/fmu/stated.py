@@ -62,7 +62,7 @@ def sensor_of(interface: Interface, name: str, stated: Mapping[str, Any], v: Var
 
 def states_of(interface: Interface, variables: list[Variable], x0: Array, **stated: Stated) -> tuple[Signal, ...]:
     """The signals of the states; stated: initial_sigma and process_sigma."""
-    sigmas: list[dict[str, float]] = [{} for _ in variables]
+    sigmas: list[dict[str, Any]] = [{} for _ in variables]
     for what, given in stated.items():
         if isinstance(given, Mapping):
             interface.of("state", given)

@@ -9,7 +9,7 @@ import numpy as np
 
 from fusion_sfdia.report.content import Chapter, Figure, ResultTable
 from fusion_sfdia.report.results import Row
-from fusion_sfdia.report.sentences import span
+from fusion_sfdia.report.scenario_sentences import span
 from fusion_sfdia.study.comparison.cell import ComparisonCell
 from fusion_sfdia.study.comparison.conclusions import plant_findings
 from fusion_sfdia.study.comparison.example_figure import example_figure

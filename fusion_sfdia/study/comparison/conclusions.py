@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from fusion_sfdia.report.sentences import span
+from fusion_sfdia.report.scenario_sentences import span
 from fusion_sfdia.study.comparison.cell import ComparisonCell
 from fusion_sfdia.study.comparison.figures import Cells, of_plant
 from fusion_sfdia.study.comparison.metric_rows import (

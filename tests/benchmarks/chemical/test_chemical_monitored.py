@@ -8,7 +8,7 @@ import pytest
 from fusion_sfdia.benchmarks.chemical.monitored import SCENARIO, monitored_summary
 from fusion_sfdia.benchmarks.chemical.support.monitoring import BEFORE, LENGTHS, METHODS, ONSETS, cases, monitored, with_faults
 from fusion_sfdia.plant.log import Log
-from fusion_sfdia.report.sentences import pick
+from fusion_sfdia.report.scenario_sentences import pick
 
 TASK = {"measurements": [7, 23], "size": 10.0}
 

@@ -145,5 +145,5 @@ def test_memory_and_elements_of_a_call() -> None:
 
 
 def test_counting_begins_before_what_is_counted_is_imported() -> None:
-    with pytest.raises(RuntimeError, match=r"fusion_sfdia\.core\S* is imported already; call install before"):
+    with pytest.raises(RuntimeError, match=r"fusion_sfdia\.\S* is imported already; call install before"):
         counting.install()

@@ -112,8 +112,8 @@ def test_missing_readings_and_inputs_and_repeats_are_judged_as_they_are(monitor:
     (sample,) = watch.update(400.0, np.full(8, np.nan), np.full(1, np.nan))
     assert sample.decision.isolated.tolist() == [i == 1 for i in range(8)] and sample.verdict is Verdict.SENSOR
     anew = monitor.stream()
-    assert anew.take(0.0, np.full(8, np.nan), np.full(1, np.nan)) == ()  # the first row waits for the next one
-    assert {s.verdict for s in anew.take(10.0, np.full(8, np.nan), np.full(1, np.nan))} == {Verdict.BLIND}
+    assert anew.update(0.0, np.full(8, np.nan), np.full(1, np.nan)) == ()  # the first row waits for the next one
+    assert {s.verdict for s in anew.update(10.0, np.full(8, np.nan), np.full(1, np.nan))} == {Verdict.BLIND}
     with pytest.raises(ValueError, match=r"expected \(8,\) and \(1,\)"):
         watch.detector.step(watch.detector.init(), 0.0, y[0], np.empty(0))
     state, _ = watch.detector.step(watch.detector.init(), 100.0, y[0], np.zeros(1))

@@ -82,7 +82,8 @@ def test_signals_are_those_of_the_description(exchanged: Plant) -> None:
             assert (ours.name, ours.unit, ours.nominal, ours.low, ours.high) == (
                 *(theirs.name, theirs.unit, theirs.nominal, theirs.low, theirs.high),
             )
-    assert exchanged.sensors == own.sensors and exchanged.dt == own.dt and exchanged.numerics.max_dt == own.numerics.max_dt
+    assert exchanged.sensors == tuple(replace(s, meaning="") for s in own.sensors)
+    assert exchanged.dt == own.dt and exchanged.numerics.max_dt == own.numerics.max_dt
     assert np.array_equal(exchanged.initial_cov, own.initial_cov) and np.array_equal(exchanged.process_cov, own.process_cov)
 
 

@@ -1,0 +1,260 @@
+"""What was found in the words of those who look after the plant: one sentence an event, and what to check.
+
+The report, the command line, its JSON and `watch` take their sentences from here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+from fusion_sfdia.common.clock import Clock
+from fusion_sfdia.detectors.detector import Detector, ProcessHypothesis
+from fusion_sfdia.diagnosis.events import (
+    CERTAIN,
+    EVEN,
+    Event,
+    OtherEvent,
+    ProcessEvent,
+    UndecidedEvent,
+    UnnamedEvent,
+    with_unit,
+)
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.uncertainty import equation_of, error_of
+
+NORMAL = 1.96  # standard deviations of a 95 % interval
+LEAST = 0.05  # of a sensor's sigma: a smaller size is none
+ORDER = {"sensor": 0, "other": 0, "process": 1, "outside": 2, "undecided": 3}
+
+COUNTED = {
+    "sensor": ("faulty sensor", "faulty sensors"),
+    "other": ("other fault", "other faults"),
+    "process": ("change of the process", "changes of the process"),
+    "outside": ("operation that was not learnt", "operations that were not learnt"),
+    "undecided": ("open question", "open questions"),
+    "possible": ("possible fault", "possible faults"),
+}
+
+# kind of a sensor's fault: what it did, what it has done until now, and how that is said to be over or not
+FAULTS = {
+    "bias": ("read {size}", "has read {size}", "it is back", "it is still off"),
+    "drift": ("drifted until it read {size}", "has drifted until it read {size}", "it is back", "it is still off"),
+    "freeze": ("was stuck at one value", "has been stuck at one value", "it moves again", "it is still stuck"),
+    "noise": ("was noisy{by}", "has been noisy{by}", "it is quiet again", "it is still noisy"),
+    "spikes": ("had spikes{of}", "has had spikes{of}", "they have stopped", "they go on"),
+    "dropout": ("gave no readings", "has given no readings", "it reads again", "it is still silent"),
+    "": ("read {size}", "has read {size}", "it is back", "it is still off"),
+}
+CHECKS = {
+    "bias": "Check the sensor's wiring or calibration.",
+    "drift": "Check the sensor's calibration, and clean it.",
+    "freeze": "Check the sensor, its transmitter and its data link.",
+    "noise": "Check the sensor's connectors and shielding.",
+    "spikes": "Check the sensor's connectors and shielding.",
+    "dropout": "Check the sensor's power, wiring and data link.",
+    "": "Check the sensor's wiring or calibration.",
+}
+OF_PROCESS = {
+    "parameter": "Check this part of the plant.",
+    "input": "Check the actuator, its feedback, and for leaks on the way.",
+    "state": "Check for leaks, blockages and supplies that the model leaves out.",
+    "disturbance": "Check what may disturb the plant there.",
+}
+
+
+class Wording(NamedTuple):
+    """How people call a sensor or another hypothesis.
+
+    part: "sensor", or the kind of a `ProcessHypothesis`. name: its name, or its tag. meaning: the quantity in words, check:
+    what to do where it is wrong, as the plant states them. low, high: the differences from the model that are possible, in its
+    unit.
+    """
+
+    part: str
+    name: str
+    meaning: str = ""
+    check: str = ""
+    low: float = -math.inf
+    high: float = math.inf
+
+    def __str__(self) -> str:
+        """Within a sentence: "mixed-air temperature TT04", "sensor l1", "the balance of level_1"."""
+        meaning = self.meaning if self.meaning[1:2].isupper() else self.meaning[:1].lower() + self.meaning[1:]
+        if self.part == "sensor":
+            return f"{meaning or 'sensor'} {self.name}"
+        return {"input": "the input ", "state": "the balance of "}.get(self.part, "") + (meaning or self.name)
+
+
+Words = Mapping[str, Wording]
+
+
+def wordings(detector: Detector) -> dict[str, Wording]:
+    """The wording of each hypothesis of a detector, by its name."""
+    return words_of(detector.plant, detector.process_hypotheses)
+
+
+def words_of(plant: Plant, tested: Iterable[ProcessHypothesis]) -> dict[str, Wording]:
+    """The wording of each sensor of a plant, and of each hypothesis about the process, by its name."""
+    found = {s.name: Wording("sensor", s.name, s.meaning, s.check) for s in plant.sensors}
+    parameters = {p.name: p for p in plant.uncertainty.parameters}
+    inputs, states = {error_of(s.name): s for s in plant.inputs}, {equation_of(s.name): s for s in plant.states}
+    for h in tested:
+        if p := parameters.get(h.name):
+            found[h.name] = Wording(h.kind, p.name, p.meaning, p.check, p.low - p.nominal, p.high - p.nominal)
+        elif s := inputs.get(h.name):
+            found[h.name] = Wording(h.kind, s.name, s.meaning, s.check, s.low - s.high, s.high - s.low)
+        elif s := states.get(h.name):
+            found[h.name] = Wording(h.kind, s.name, s.meaning, s.check)
+        else:
+            found[h.name] = Wording(h.kind, h.name)
+    return found
+
+
+def sentence(e: Event, words: Words, clock: Clock) -> str:
+    """An event in a sentence, and one on what to do: "Mixed-air temperature TT04 read 1.5 K (1.3 to 1.7) too high from
+    2026-03-01 02:07 to 03:59; it is back. Check the sensor's wiring or calibration."
+
+    A size that cannot be, beyond the limits that the plant states, or that rounds to none, is left out.
+    """
+    when = f"since {clock.wall(e.start)}" if e.open else clock.span(e.start, e.end)
+    if isinstance(e, UndecidedEvent):
+        return _undecided(e, words, when)
+    if isinstance(e, ProcessEvent):
+        return _process(e, words.get(e.hypothesis) or Wording("parameter", e.hypothesis), when)
+    if isinstance(e, UnnamedEvent):
+        fit = "has not fitted" if e.open else "did not fit"
+        return (
+            f"The process {fit} the model {when}; no single sensor and no single cause explains the readings. Check how the "
+            "plant is run, and its inputs."
+        )
+    if e.kind != "sensor" or isinstance(e, OtherEvent):
+        return f"{_first(e.told(clock))}."
+    return _sensor(e, words.get(e.hypothesis) or Wording("sensor", e.hypothesis), words, when)
+
+
+def by_importance(events: Sequence[Event], passing: Sequence[Event] = ()) -> list[Event]:
+    """Events, the most important first: sensors, the process, what was not learnt, what is undecided, and last what is
+    improbable, or `passing`; of each what is certain, then what still acts, then the largest.
+    """
+    ended = set(map(id, passing))
+
+    def key(e: Event) -> tuple[bool, int, bool, bool, float, float]:
+        size = abs(e.sigmas) if math.isfinite(e.sigmas) else 0.0
+        return (id(e) in ended, 4 if e.confidence < EVEN else ORDER[e.kind], e.confidence < CERTAIN, not e.open, -size, e.start)
+
+    return sorted(events, key=key)
+
+
+def counted(events: Sequence[Event]) -> str:
+    """How many of each kind, each hypothesis once: "2 faulty sensors, 1 change of the process, 1 open question"."""
+    names: dict[str, set[str]] = {}
+    for e in by_importance(events):
+        names.setdefault("possible" if e.confidence < EVEN else e.kind, set()).add(e.hypothesis)
+    return ", ".join(f"{len(of)} {COUNTED[kind][len(of) > 1]}" for kind, of in names.items())
+
+
+def size_of(e: Event, words: Words) -> str:
+    """The size of an event in words with its 95 % interval, "1.5 K (1.3 to 1.7)"; "" where it has none that can be."""
+    if isinstance(e, ProcessEvent):
+        return _difference(e, words.get(e.hypothesis) or Wording("parameter", e.hypothesis))
+    if not math.isfinite(e.size) or e.size == 0 or abs(e.sigmas) < LEAST:
+        return ""
+    sign = math.copysign(1.0, e.size)
+    return _measured(abs(e.size), sign * e.low, sign * e.high, e.unit)
+
+
+def confidence_of(e: Event) -> str:
+    """How probable it is that it is this hypothesis rather than another, as text; "" where it is not known."""
+    if not math.isfinite(e.confidence):
+        return ""
+    return "> 99 %" if e.confidence > 0.99 else f"{100 * e.confidence:.0f} %"
+
+
+def others_of(e: Event, words: Words) -> list[str]:
+    """What else it may be, in words."""
+    return [str(words.get(name) or name) for name in e.alternatives]
+
+
+def _sensor(e: Event, w: Wording, words: Words, when: str) -> str:
+    closed, acts, over, stays = FAULTS.get(e.fault, FAULTS[""])
+    size, side = size_of(e, words), "too high" if e.size > 0 else "too low"
+    off = f"{size} {side}" if size else "wrong"
+    did = (acts if e.open else closed).format(size=off, by=f" (by {size})" if size else "", of=f" of {size}" if size else "")
+    doubt = "perhaps " if e.confidence <= EVEN else "probably " if e.confidence < CERTAIN else ""
+    instead = f" It may be {_either(others_of(e, words))} instead." if doubt and e.alternatives else ""
+    check = _stop(w.check) or CHECKS.get(e.fault, CHECKS[""])
+    return f"{_first(f'{doubt}{w}')} {did} {when}; {stays if e.open else over}.{instead} {check}"
+
+
+def _process(e: ProcessEvent, w: Wording, when: str) -> str:
+    size, side = _difference(e, w), "below" if e.size < 0 else "above"
+    been, name = "has been" if e.open else "was", w.meaning or w.name
+    name = f"{name} ({w.name})" if w.part == "input" and w.meaning else name
+    if w.part == "input":
+        said = (
+            f"{name}: the plant {'has got' if e.open else 'got'} {size} {'less' if e.size < 0 else 'more'} than the log states"
+        )
+        said = said if size else f"{name}: the plant {'has not got' if e.open else 'did not get'} what the log states"
+    elif w.part in ("state", "disturbance"):
+        moved = "lowers" if e.size < 0 else "raises"
+        moved = moved if e.open else f"{moved[:-1]}d"
+        said = f"something that the model leaves out {moved} {name}" if w.part == "state" else f"{name} {been} at work"
+    else:
+        said = f"{name} {been} {size} {side} its value in the model" if size else f"{name} {been} different from the model"
+    return (
+        f"{_first(said)} {when}; no sensor explains this. {_stop(w.check) or OF_PROCESS.get(w.part, OF_PROCESS['parameter'])}"
+    )
+
+
+def _undecided(e: UndecidedEvent, words: Words, when: str) -> str:
+    names = [str(words.get(name) or name) for name in e.suspects]
+    if len(names) == 1:
+        return f"Perhaps {names[0]} {'is' if e.open else 'was'} wrong {when}; too little speaks for it. Check it on site."
+    do = "do not tell" if e.open else "did not tell"
+    check = "Check them on site, the first first." if e.open else "Check them on site if it comes again."
+    return f"The readings {do} {when} whether {_either(names)} {'is' if e.open else 'was'} wrong. {check}"
+
+
+def _difference(e: ProcessEvent, w: Wording) -> str:
+    """How far the process is from the model, in percent of the nominal value where that is not 0; "" where that cannot be."""
+    share = math.isfinite(e.nominal) and e.nominal != 0
+    sure = math.isfinite(e.size) and abs(e.size) > (e.sd if math.isfinite(e.sd) else 0.0)
+    if not sure or not w.low <= e.size <= w.high or (share and e.size / e.nominal < -1) or w.part in ("state", "disturbance"):
+        return ""
+    scale, unit = (100.0 / abs(e.nominal), "%") if share else (1.0, e.unit)
+    size, sd = abs(e.size) * scale, NORMAL * e.sd * scale
+    return _measured(size, size - sd, size + sd, unit)
+
+
+def _measured(value: float, low: float, high: float, unit: str) -> str:
+    """A value with its interval, to the first digit of half of its width, the second where that is 1; alone to three digits."""
+    half = abs(high - low) / 2
+    if not (math.isfinite(half) and half > 0):
+        return with_unit(f"{value:.3g}", unit)
+    low, high = min(low, high), max(low, high)
+    places = -math.floor(math.log10(half))
+    places += half < 1.9 * 10.0**-places
+    shown = [_rounded(v, places) for v in (value, low, high)]
+    return f"{with_unit(shown[0], unit)} ({shown[1]} to {shown[2]})"
+
+
+def _rounded(value: float, places: int) -> str:
+    """A number to that many decimal places, with a power of ten where it is very small or large."""
+    if -6 < places < 5 or value == 0:
+        return f"{round(value, places):.{max(places, 0)}f}"
+    return f"{value:.{max(0, places + math.floor(math.log10(abs(value))))}e}"
+
+
+def _either(names: Sequence[str]) -> str:
+    return " or ".join(dict.fromkeys(names))
+
+
+def _first(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}"
+
+
+def _stop(text: str) -> str:
+    """A text as a sentence."""
+    return text if not text or text[-1] in ".!?" else f"{text}."

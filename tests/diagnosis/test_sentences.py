@@ -1,0 +1,148 @@
+"""Sentences of a diagnosis: what was wrong, how much, from when to when, whether it is over, and what to check."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from datetime import datetime
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pytest
+from process_bank import ProcessBank
+from toy_plants import tanks
+
+from fusion_sfdia.common.clock import Clock
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.diagnosis.changes import Change
+from fusion_sfdia.diagnosis.events import Event, ProcessEvent, UndecidedEvent, UnnamedEvent
+from fusion_sfdia.diagnosis.sentences import Wording, by_importance, counted, sentence, size_of, wordings
+from fusion_sfdia.live.lines import change_line
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.signals import Sensor
+
+NIGHT = Clock(datetime(2026, 3, 1, 2, 7, tzinfo=ZoneInfo("Europe/Amsterdam")))
+WORDS = {
+    "TT04": Wording("sensor", "TT04", "Mixed-air temperature"),
+    "l1": Wording("sensor", "l1", check="Tap the float"),
+    "outlet": Wording("parameter", "outlet", high=5e-4),
+    "error of inflow": Wording("input", "inflow", "flow of the pump", low=-1e-3, high=1e-3),
+    "equation of level": Wording("state", "level", "the tank"),
+}
+TT04 = Event("TT04", 0.0, 6720.0, 1.5, "K", False, fault="bias", low=1.3, high=1.7, sigmas=5.0, confidence=1.0)
+OUTLET = ProcessEvent("outlet", 0.0, 6720.0, -3e-5, "m2.5/s", True, sd=5e-6, nominal=6e-4)
+INFLOW = ProcessEvent("error of inflow", 0.0, 6720.0, 1e-4, "m3/s", False, sd=1e-5, nominal=0.0)
+
+
+def test_a_sensor_is_told_as_a_technician_would() -> None:
+    assert sentence(TT04, WORDS, NIGHT) == (
+        "Mixed-air temperature TT04 read 1.5 K (1.3 to 1.7) too high from 2026-03-01 02:07 to 03:59; it is back. "
+        "Check the sensor's wiring or calibration."
+    )
+    low = replace(TT04, hypothesis="l1", size=-1.5, low=-1.7, high=-1.3, open=True, confidence=0.6, alternatives=("TT04",))
+    assert sentence(low, WORDS, NIGHT) == (
+        "Probably sensor l1 has read 1.5 K (1.3 to 1.7) too low since 2026-03-01 02:07; it is still off. "
+        "It may be mixed-air temperature TT04 instead. Tap the float."
+    )
+    assert sentence(TT04, {}, Clock()).startswith("Sensor TT04 read 1.5 K (1.3 to 1.7) too high from 0 s to 6720 s")
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        ("drift", "drifted until it read 1.5 K (1.3 to 1.7) too high from"),
+        ("freeze", "was stuck at one value from"),
+        ("noise", "was noisy (by 1.5 K (1.3 to 1.7)) from"),
+        ("spikes", "had spikes of 1.5 K (1.3 to 1.7) from"),
+        ("dropout", "gave no readings from"),
+        ("", "read 1.5 K (1.3 to 1.7) too high from"),
+    ],
+)
+def test_each_kind_of_fault_has_its_words(fault: str, said: str) -> None:
+    assert f"TT04 {said}" in sentence(replace(TT04, fault=fault), WORDS, NIGHT)
+
+
+@pytest.mark.parametrize(("size", "sigmas"), [(0.0, 0.0), (1e-3, 0.003), (np.nan, np.nan)])
+def test_a_size_of_none_is_not_printed(size: float, sigmas: float) -> None:
+    told = sentence(replace(TT04, size=size, sigmas=sigmas), WORDS, NIGHT)
+    assert told.startswith("Mixed-air temperature TT04 read wrong from") and "(" not in told
+
+
+def test_the_process_is_told_by_what_differs() -> None:
+    assert sentence(OUTLET, WORDS, NIGHT) == (
+        "Outlet has been 5.0 % (3.4 to 6.6) below its value in the model since 2026-03-01 02:07; no sensor explains this. "
+        "Check this part of the plant."
+    )
+    told = "Flow of the pump (inflow): the plant got 1.0e-04 m3/s (8e-05 to 1.2e-04) more than the log states from"
+    assert sentence(INFLOW, WORDS, NIGHT).startswith(told)
+    level = replace(OUTLET, hypothesis="equation of level", nominal=np.nan)
+    told = sentence(level, WORDS, NIGHT)
+    assert told.startswith("Something that the model leaves out lowers the tank since") and "equation" not in told
+
+
+@pytest.mark.parametrize(
+    "impossible",
+    [
+        replace(OUTLET, size=-9.6e-4),  # 160 % below
+        replace(OUTLET, size=5.1e-4),  # beyond the limit that the plant states
+        replace(OUTLET, size=4e-6),  # below its own standard deviation
+        replace(INFLOW, size=2e-3),  # more than the range of the input
+    ],
+)
+def test_a_size_that_cannot_be_is_not_printed(impossible: ProcessEvent) -> None:
+    told = sentence(impossible, WORDS, NIGHT)
+    assert size_of(impossible, WORDS) == "" and "%" not in told and "m3/s" not in told
+    assert "different from the model" in told or "did not get what the log states" in told
+
+
+def test_what_is_undecided_names_all_suspects_in_words() -> None:
+    names = ("l1", "error of inflow", "equation of level", "TT04", "outlet")
+    event = UndecidedEvent(" or ".join(names), 0.0, 60.0, np.nan, "", True, names)
+    assert sentence(event, WORDS, NIGHT) == (
+        "The readings do not tell since 2026-03-01 02:07 whether sensor l1 or the input flow of the pump or the balance of the "
+        "tank or mixed-air temperature TT04 or outlet is wrong. Check them on site, the first first."
+    )
+    assert sentence(UnnamedEvent("none", 0.0, 60.0, np.nan, "", True), WORDS, NIGHT).startswith("The process has not fitted")
+
+
+def test_sensors_are_first_then_the_process_then_what_is_undecided() -> None:
+    undecided = UndecidedEvent("l1", 0.0, 60.0, np.nan, "", True, ("l1",))
+    large, unlikely = replace(TT04, hypothesis="l1", sigmas=-9.0), replace(TT04, confidence=0.3)
+    likely = replace(TT04, confidence=0.6, sigmas=20.0)
+    given = [undecided, OUTLET, unlikely, likely, TT04, large]
+    assert by_importance(given) == [large, TT04, likely, OUTLET, undecided, unlikely]
+    assert [sentence(replace(TT04, confidence=p), WORDS, NIGHT).split()[0] for p in (0.5, 0.51)] == ["Perhaps", "Probably"]
+    assert by_importance([undecided, OUTLET], passing=[undecided]) == [OUTLET, undecided]
+    assert counted([undecided, OUTLET, TT04, large]) == "2 faulty sensors, 1 change of the process, 1 open question"
+
+
+def test_a_line_of_a_watch_has_the_sentence() -> None:
+    line = json.loads(change_line(Change(1, "opened", 0.0, TT04), NIGHT, WORDS))
+    assert line["text"] == sentence(TT04, WORDS, NIGHT) and line["hypothesis"] == "TT04"
+
+
+def test_words_are_what_the_plant_states() -> None:
+    plant: Plant = tanks()
+    named = replace(plant, sensors=(replace(plant.sensors[0], meaning="Level", check="Look."), *plant.sensors[1:]))
+    assert isinstance(named.sensors[0], Sensor)
+    words = wordings(ProcessBank(named, accept=(9, 99), false_alarm=1e-6))
+    assert words["l1"] == Wording("sensor", "l1", "Level", "Look.") and str(words["l1"]) == "level l1"
+    assert words["error of inflow"].part == "input" and words["error of inflow"].name == "inflow"
+    robust = wordings(registry.detector("robust-glr", registry.plant("two-tanks")))
+    assert str(robust["equation of level_1"]) == "the balance of the upper tank"
+    assert robust["error of inflow"].high == pytest.approx(2e-3) and robust["leak"].check.startswith("Check the lower tank")
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "said"),
+    [
+        (0.0, 6720.0, "from 2026-03-01 02:07 to 03:59"),
+        (5.0, 125.0, "from 2026-03-01 02:07:05 to 02:09:05"),
+        (5.25, 10.0, "from 2026-03-01 02:07:05.25 to 02:07:10"),
+        (0.0, 86400.0, "from 2026-03-01 02:07 to 2026-03-02 02:07"),
+        (60.0, 60.0, "at 2026-03-01 02:08"),
+    ],
+)
+def test_times_are_as_exact_as_they_are_long(start: float, end: float, said: str) -> None:
+    assert NIGHT.span(start, end) == said and NIGHT.zone == "Europe/Amsterdam"
+    assert Clock().span(10.0, 1234567.5) == "from 10 s to 1234567.5 s" and Clock().zone == ""
