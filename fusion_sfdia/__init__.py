@@ -15,14 +15,15 @@ __version__ = "0.1.0"
 _GROUPS = ("plants", "detectors", "filters", "logs", "faults", "events", "learning", "metrics")
 _RENAMED = {  # former names, until the next release
     "inspect_plant": "inspect",
+    "registry": "detectors.registry",
     "Roc": "metrics.RocCurve",
     "Audit": "metrics.AuditResult",
     "Whiteness": "learning.WhitenessTest",
-    "Identifiability": "learning.IdentifiabilityResult",
+    "Identifiability": "plants.IdentifiabilityResult",
 }
 
 _names, _public, _ = public_names(__name__, __file__)
-__all__ = ["__version__", *_GROUPS, *_names]
+__all__ = ["__version__", *_names]
 
 
 def __getattr__(name: str) -> Any:
@@ -33,9 +34,16 @@ def __getattr__(name: str) -> Any:
     homes = (f"{group}.{name}" for group in _GROUPS if name in import_module(f"{__name__}.{group}").__all__)
     if (now := _RENAMED.get(name) or next(homes, "")) == "":
         return _public(name)  # which states the public names
-    warn(f"fusion_sfdia.{name} is fusion_sfdia.{now} now; the next release knows it by that alone", DeprecationWarning, 2)
+    warn(
+        f"fusion_sfdia.{name} is now fusion_sfdia.{now}; the former name will be removed in the next release",
+        DeprecationWarning,
+        stacklevel=2,
+    )
     group, _, new = now.rpartition(".")
-    return getattr(import_module(f"{__name__}.{group}"), new) if group else _public(new)
+    if not group:
+        return _public(new)
+    home = import_module(f"{__name__}.{group}")
+    return getattr(home, new) if new in home.__all__ else import_module(f"{__name__}.{now}")
 
 
 def __dir__() -> list[str]:

@@ -1,5 +1,13 @@
-# The public names of this module, which reads this file to find them, and so do type checkers.
+# Public names of this module, which reads them here; type checkers do, too.
 
+from fusion_sfdia import detectors as detectors
+from fusion_sfdia import events as events
+from fusion_sfdia import faults as faults
+from fusion_sfdia import filters as filters
+from fusion_sfdia import learning as learning
+from fusion_sfdia import logs as logs
+from fusion_sfdia import metrics as metrics
+from fusion_sfdia import plants as plants
 from fusion_sfdia.common.errors import MissingPackageError as MissingPackageError
 from fusion_sfdia.common.errors import NotApplicableError as NotApplicableError
 from fusion_sfdia.detectors.detector import run as run

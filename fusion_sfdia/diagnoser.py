@@ -1,10 +1,10 @@
-"""A detector as Python users drive it: by name, fitted to healthy readings, over a log, row by row; and its results to show."""
+"""Detectors from Python: by name, fitted to healthy readings, run over a log or row by row; results to plot and report."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,10 +17,11 @@ from fusion_sfdia.diagnosis.diagnose import SECONDS, Diagnosis, present
 from fusion_sfdia.diagnosis.prepared import prepared
 from fusion_sfdia.diagnosis.watch import Watch
 from fusion_sfdia.learning.builders import fit
-from fusion_sfdia.logs.as_log import as_log
+from fusion_sfdia.logs.check import checked
 from fusion_sfdia.logs.columns import Source
 from fusion_sfdia.logs.frames import is_frame
-from fusion_sfdia.logs.loaded_log import LoadedLog
+from fusion_sfdia.logs.loaded_log import MISREAD, LoadedLog
+from fusion_sfdia.logs.log_forms import as_log
 from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.logs.reading import load_log
 from fusion_sfdia.plant.log import Log, one_run
@@ -32,10 +33,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Result(Diagnosis):
-    """A Diagnosis with the readings that it is of.
+    """A Diagnosis with the readings it was made from.
 
-    plant, detector: that made it, the latter by name. log: as it was judged. columns: of the file or frame, whose tags and
-    units `plot` and `report` show. source: where the readings came from, for the report.
+    plant: of the detector. detector: its name. log: as it was judged. columns: of the file or frame, whose tags and units
+    `plot` and `report` show. source: name of the file, for the report.
     """
 
     plant: Plant
@@ -45,7 +46,7 @@ class Result(Diagnosis):
     source: str = "a log"
 
     def plot(self) -> Figure:
-        """The readings and reconstructions of the sensors with events, as a matplotlib Figure."""
+        """Readings and reconstructions of the sensors with events, without any of the first sensor, as a matplotlib Figure."""
         from fusion_sfdia.report.log_report import draw
 
         return draw(*self._shown())
@@ -55,7 +56,7 @@ class Result(Diagnosis):
         from fusion_sfdia.report.log_page import About, write_page
 
         if (path := Path(path)).suffix != ".html":
-            raise ValueError(f"the report is to be written to {path}; expected a file that ends in .html")
+            raise ValueError(f"report: {path} has another suffix; expected a file that ends in .html")
         write_page(path, *self._shown(), About(self.source, self.detector))
         return path
 
@@ -67,35 +68,45 @@ class Result(Diagnosis):
         return units.plant, units.readings(y), units.diagnosis(self)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Diagnoser:
     """A detector on its plant; `fusion_sfdia.detector` makes it.
 
-    detector: to be stepped, as `run` and `Watch` take it. name: for people. build: makes it for a plant, None where it was
-    built, or fitted to readings, already.
+    detector: to be stepped, as `run` and `Watch` take it. name: shown in reports. build: makes the detector for another plant;
+    None for an object. fitted: whether `fit` has fitted it to readings of this plant.
     """
 
     detector: Detector
     name: str
     build: registry.NamedDetector | None = None
+    fitted: bool = False
 
     @property
     def plant(self) -> Plant:
         """The plant of the detector."""
         return self.detector.plant
 
+    def __repr__(self) -> str:
+        return f"<Diagnoser {self.name} on {self.plant.name}>"
+
     def fit(self, healthy: Any, false_alarm: str | float = "1/day", *, log_map: LogMap | str | Path | None = None) -> Diagnoser:
         """The detector fitted to healthy readings of the plant; one that does not learn gets its thresholds from them.
 
-        healthy: as in `diagnose`, also several runs side by side. false_alarm: "1/day", "2/hour", or a probability per sample.
-        ValueError where the readings do not fit or are too few for the rate; NotApplicableError as the detector raises it.
+        healthy: a file or a frame, which `load_log` reads with log_map; what `load_log` or `check_log` read; a Log, a Recording
+        or a tuple t, y, u, also of several runs side by side; None for simulated runs. false_alarm: "1/day", "2/hour", or a
+        rate per sample over all sensors. ValueError where the readings do not fit, look misread or are too few for the rate;
+        NotApplicableError as the detector raises it.
         """
         rate = Rate.of(false_alarm).per_sample(self.plant.dt)
-        if isinstance(healthy, str | Path) or is_frame(healthy):
-            healthy = load_log(healthy, self.plant, log_map).log
+        if isinstance(loaded := _loaded(self.plant, healthy, log_map, "healthy log: "), LoadedLog):
+            loaded = checked(self.plant, loaded)
+            if loaded.misread:
+                reasons = "; ".join(f.text for f in loaded.findings if f.kind in MISREAD)
+                raise ValueError(f"the healthy log looks misread: {reasons}; state in a log_map how it is written")
+            loaded = loaded.log
         if self.build is None:
-            return Diagnoser(self.detector.fit_thresholds(healthy, rate), self.name)
-        return Diagnoser(fit(self.build, self.plant, healthy, rate), self.name)
+            return replace(self, detector=self.detector.fit_thresholds(loaded, rate), fitted=True)
+        return replace(self, detector=fit(self.build, self.plant, loaded, rate), fitted=True)
 
     def diagnose(self, *data: Any, gap: int = 3, log_map: LogMap | str | Path | None = None) -> Result:
         """Run the detector over recorded readings and collect what it isolates into events, see `diagnose_run`.
@@ -108,26 +119,36 @@ class Diagnoser:
         ValueError where the data do not fit; DiagnosisWarning for limits of the diagnosis that the events do not show.
         """
         one = data[0] if len(data) == 1 else None
-        source = str(one) if isinstance(one, str | Path) else "a log"
-        if isinstance(one, str | Path) or is_frame(one):
-            one = load_log(one, self.plant, log_map)
-            for remark in one.brief:
-                warnings.warn(remark, stacklevel=2)
-        elif log_map is not None:
-            raise ValueError("log_map states how a file or a frame is written; expected one of them, or no log_map")
-        loaded = one if isinstance(one, LoadedLog) else LoadedLog(one_run(as_log(self.plant, *data)), SECONDS, ())
-        build = None if self.build is None else partial(registry.detector, self.build)
-        found, log = prepared(self.detector, loaded, build).diagnose(gap=gap)
+        source = Path(one).name if isinstance(one, str | Path) else "a log"
+        if not isinstance(one := _loaded(self.plant, one, log_map), LoadedLog):
+            one = LoadedLog(one_run(as_log(self.plant, *data)), SECONDS, ())
+        build = None if self.fitted or self.build is None else partial(registry.detector, self.build)
+        found, log = prepared(self.detector, one, build).diagnose(gap=gap)
         own = {f.name: getattr(found, f.name) for f in fields(found)}
-        return Result(**own, plant=self.plant, detector=self.name, log=log, columns=loaded.columns, source=source)
+        return Result(**own, plant=self.plant, detector=self.name, log=log, columns=one.columns, source=source)
 
     def stream(self, **settings: Any) -> Watch:
-        """The detector over rows as they come, see `Watch` for the settings; `Watch.update` takes a row."""
+        """The detector over rows as they come, see `Watch` for the settings; `Watch.update` takes a row.
+
+        Rows are in the units of the plant; sensors that are not read are named by `unread`.
+        """
         return Watch(self.detector, **settings)
 
     def save(self, path: str | Path) -> None:
         """Write the detector to a file, see `save_detector`."""
         save_detector(path, self.detector)
+
+
+def _loaded(plant: Plant, given: Any, log_map: LogMap | str | Path | None, what: str = "") -> Any:
+    """A file or a frame as it was read, with a warning for each remark; anything else as it is, without a log_map."""
+    if isinstance(given, str | Path) or is_frame(given):
+        loaded = load_log(given, plant, log_map)
+        for remark in loaded.brief:
+            warnings.warn(f"{what}{remark}", stacklevel=3)
+        return loaded
+    if log_map is not None:
+        raise ValueError("log_map states how a file or a frame is written; expected one of them, or no log_map")
+    return given
 
 
 def detector(
@@ -141,7 +162,9 @@ def detector(
     detector, or the plant is missing or given twice; NotApplicableError where the plant lacks what the method needs.
     """
     if isinstance(what, Diagnoser):
-        what = what.build or what.detector
+        if plant is None or plant is what.plant:
+            return what
+        what = what.detector if what.fitted or what.build is None else what.build
     if isinstance(what, str | type | registry.NamedDetector) or not isinstance(what, Detector):
         if not isinstance(what, str | registry.NamedDetector) and not callable(what):
             raise ValueError(
@@ -150,8 +173,7 @@ def detector(
             )
         entry = registry.find_detector(what)
         if plant is None:
-            lacks = f"{what!r} is a name, which" if isinstance(what, str) else f"{entry.name} is not built: it"
-            raise ValueError(f"detector {lacks} needs its plant; pass it, a Plant or a name")
+            raise ValueError(f"detector {entry.name!r} has no plant yet; pass plant=, a Plant or a name")
         return Diagnoser(registry.detector(entry, registry.plant(plant)), entry.name, entry)
     if plant is not None and plant is not what.plant:
         raise ValueError(f"a plant is given together with a detector, which has its own, {what.plant.name!r}; leave it out")
@@ -166,5 +188,4 @@ def diagnose(
     log_map: LogMap | str | Path | None = None,
 ) -> Result:
     """Diagnose recorded readings: `detector(what, plant).diagnose(*data)`, see there."""
-    given = what if isinstance(what, Diagnoser) and plant is None else detector(what, plant)
-    return given.diagnose(*data, gap=gap, log_map=log_map)
+    return detector(what, plant).diagnose(*data, gap=gap, log_map=log_map)

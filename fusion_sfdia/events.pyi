@@ -1,4 +1,4 @@
-# The public names of this module, which reads this file to find them, and so do type checkers.
+# Public names of this module, which reads them here; type checkers do, too.
 
 from fusion_sfdia.detectors.verdicts import Verdict as Verdict
 from fusion_sfdia.diagnosis.changes import Alarm as Alarm
@@ -8,6 +8,5 @@ from fusion_sfdia.diagnosis.events import Event as Event
 from fusion_sfdia.diagnosis.events import ProcessEvent as ProcessEvent
 from fusion_sfdia.diagnosis.events import UndecidedEvent as UndecidedEvent
 from fusion_sfdia.diagnosis.model_health import Health as Health
-from fusion_sfdia.diagnosis.simulate import Recording as Recording
 from fusion_sfdia.diagnosis.watch import Sample as Sample
 from fusion_sfdia.diagnosis.watch import WatchWarning as WatchWarning

@@ -1,4 +1,4 @@
-# The public names of this module, which reads this file to find them, and so do type checkers.
+# Public names of this module, which reads them here; type checkers do, too.
 
 from fusion_sfdia.diagnosis.fault_draws import FaultRange as FaultRange
 from fusion_sfdia.diagnosis.fault_draws import draw_faults as draw_faults

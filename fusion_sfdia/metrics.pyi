@@ -1,4 +1,4 @@
-# The public names of this module, which reads this file to find them, and so do type checkers.
+# Public names of this module, which reads them here; type checkers do, too.
 
 from fusion_sfdia.study.audit import AuditResult as AuditResult
 from fusion_sfdia.study.comparison.compare import ComparisonResult as ComparisonResult

@@ -1,6 +1,8 @@
-# The public names of this module, which reads this file to find them, and so do type checkers.
+# Public names of this module, which reads them here; type checkers do, too.
 
-from fusion_sfdia.common.equation import equation as equation
+from fusion_sfdia.derivatives.equation import equation as equation
+from fusion_sfdia.detectors.kalman_banks.identifiability import IdentifiabilityResult as IdentifiabilityResult
+from fusion_sfdia.detectors.kalman_banks.identifiability import identifiability as identifiability
 from fusion_sfdia.filters.filterpy_adapter import plant_from_filterpy as plant_from_filterpy
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline as gas_pipeline
 from fusion_sfdia.models.marine_engine.plant import marine_engine as marine_engine

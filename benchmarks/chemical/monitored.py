@@ -18,8 +18,8 @@ from fusion_sfdia.benchmarks.chemical.support.monitoring import (
 )
 from fusion_sfdia.benchmarks.chemical.support.recordings import MEASUREMENTS
 from fusion_sfdia.benchmarks.chemical.support.tasks import SIGMAS, once, require_measurements, task_for_each
+from fusion_sfdia.common.run_statistics import rate_over_runs
 from fusion_sfdia.report.content import Figure, ResultTable, Summary
-from fusion_sfdia.report.metrics import rate_over_runs
 from fusion_sfdia.report.plots import Bars, bars, legend_above, panels
 from fusion_sfdia.report.results import Row, row_of
 from fusion_sfdia.report.scenario_sentences import listed, pick

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from fusion_sfdia.benchmarks.engine.support import campaign
 from fusion_sfdia.benchmarks.engine.support.campaign_figures import drive_figure, run_figure, share_matrix
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row
+from fusion_sfdia.common.run_statistics import Estimate, mean_over_runs, share
 from fusion_sfdia.detectors.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.models.marine_engine.plant import SENSORS
 from fusion_sfdia.report.content import Figure, Summary
-from fusion_sfdia.report.metrics import Estimate, mean_over_runs, share
 from fusion_sfdia.report.plots import panels
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.report.scenario_sentences import pick, span

@@ -31,13 +31,13 @@ from fusion_sfdia.benchmarks.engine.support.trials import (
     row,
     tasks,
 )
+from fusion_sfdia.common.run_statistics import Estimate, mean_over_runs
 from fusion_sfdia.detectors.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.detectors.detector import run
 from fusion_sfdia.detectors.state import with_runs
 from fusion_sfdia.diagnosis.simulate import Recording
 from fusion_sfdia.models.marine_engine.published import minimum_fault
 from fusion_sfdia.report.content import Figure, ResultTable, Summary
-from fusion_sfdia.report.metrics import Estimate, mean_over_runs
 from fusion_sfdia.report.plots import Bars, bars, legend_above, panels
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.report.scenario_sentences import pick

@@ -26,11 +26,11 @@ from fusion_sfdia.benchmarks.engine.support.noise_figures import (
     published,
 )
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row, timeline
+from fusion_sfdia.common.run_statistics import Estimate
 from fusion_sfdia.diagnosis.fault_effects import apply_faults
 from fusion_sfdia.diagnosis.faults import Fault
 from fusion_sfdia.models.marine_engine.published import DELAYS, Delay, PublishedOffset
 from fusion_sfdia.report.content import ResultTable, Summary
-from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.report.scenario_sentences import listed, pick, span
 from fusion_sfdia.study.diagnosis_metrics import Response

@@ -26,12 +26,12 @@ from fusion_sfdia.benchmarks.engine.support.process_figures import (
     severity_text,
 )
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row
+from fusion_sfdia.common.run_statistics import Estimate, share
 from fusion_sfdia.diagnosis.fault_effects import apply_faults
 from fusion_sfdia.diagnosis.faults import Fault
 from fusion_sfdia.models.marine_engine.plant import SENSORS
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.content import Figure, Summary
-from fusion_sfdia.report.metrics import Estimate, share
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.report.scenario_sentences import pick, span
 from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.engine.support import campaign
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, NAMES, row
+from fusion_sfdia.common.run_statistics import Estimate, mean_over_runs
 from fusion_sfdia.detectors.state import chosen_runs
 from fusion_sfdia.models.marine_engine.modules import GAINS, MODULES
 from fusion_sfdia.models.marine_engine.published import DESIGNS, minimum_fault
 from fusion_sfdia.report.content import Figure, Summary
-from fusion_sfdia.report.metrics import Estimate, mean_over_runs
 from fusion_sfdia.report.plots import COLOURS, DASHES, MARKERS, legend_above, panels
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.report.scenario_sentences import listed, pick, span

@@ -12,7 +12,8 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.engine.support.trials import Results, engine, row
-from fusion_sfdia.common.equation import argument_names
+from fusion_sfdia.common.run_statistics import Estimate
+from fusion_sfdia.derivatives.equation import argument_names
 from fusion_sfdia.detectors.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.detectors.adaptive_thresholds.signatures import (
     SignatureMatrix,
@@ -24,7 +25,6 @@ from fusion_sfdia.models.marine_engine.modules import MODULES
 from fusion_sfdia.models.marine_engine.plant import SENSORS
 from fusion_sfdia.models.marine_engine.published import SIGNATURES, PrintedTable, signatures
 from fusion_sfdia.report.content import Figure, ResultTable, Summary
-from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.plots import panels
 from fusion_sfdia.report.results import Published, Row
 from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task

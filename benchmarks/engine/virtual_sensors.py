@@ -30,10 +30,10 @@ from fusion_sfdia.benchmarks.engine.support.virtual_trials import (
     sensor_tasks,
     sensor_work,
 )
+from fusion_sfdia.common.run_statistics import Estimate, bootstrap_over_runs, mean_over_runs, share
 from fusion_sfdia.detectors.adaptive_thresholds.adaptive_observer import Rates, adaptive_rate
 from fusion_sfdia.models.marine_engine.published import K22_GAINS
 from fusion_sfdia.report.content import ResultTable, Summary
-from fusion_sfdia.report.metrics import Estimate, bootstrap_over_runs, mean_over_runs, share
 from fusion_sfdia.report.results import Published, Row
 from fusion_sfdia.report.scenario_sentences import pick, span
 from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings

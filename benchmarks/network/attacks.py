@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.benchmarks.network.support.attack_figures import answers_figure, false_isolation_figure
 from fusion_sfdia.benchmarks.network.support.rows import detector_name, row, spread, time_rows
 from fusion_sfdia.benchmarks.network.support.trials import LATE, Arrays, WatchedRuns, join_runs, require_settings, trial
+from fusion_sfdia.common.run_statistics import mean_over_runs, share
 from fusion_sfdia.detectors.detector import run
 from fusion_sfdia.detectors.registry import detector
 from fusion_sfdia.detectors.stochastic_thresholds.consensus import MODES
@@ -23,7 +24,6 @@ from fusion_sfdia.models.power_network.plant import power_network
 from fusion_sfdia.models.power_network.published import ATTACKS, SIGN_FLIP
 from fusion_sfdia.models.power_network.simulation import NetworkSample
 from fusion_sfdia.report.content import ResultTable, Summary
-from fusion_sfdia.report.metrics import mean_over_runs, share
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.report.scenario_sentences import span
 from fusion_sfdia.study.experiments.scenario import Scenario, Settings, Task, seed_blocks

@@ -25,6 +25,7 @@ from fusion_sfdia.benchmarks.network.support.consensus_figures import (
 )
 from fusion_sfdia.benchmarks.network.support.residuals import B18, PAPER, SETTLE, Variant, diagnosed
 from fusion_sfdia.benchmarks.network.support.rows import detector_name, row
+from fusion_sfdia.common.run_statistics import NOTHING, Estimate, mean_over_runs
 from fusion_sfdia.detectors.stochastic_thresholds.consensus_equations import precision_printed, precision_read, shared_term
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, network_model
@@ -33,7 +34,6 @@ from fusion_sfdia.models.power_network.parameters import load_steps
 from fusion_sfdia.models.power_network.simulation import NetworkSample, run_network
 from fusion_sfdia.plant.areas import Areas
 from fusion_sfdia.report.content import Summary
-from fusion_sfdia.report.metrics import NOTHING, Estimate, mean_over_runs
 from fusion_sfdia.report.results import Published, Row
 from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 

@@ -21,6 +21,7 @@ from fusion_sfdia.benchmarks.network.support.detector_figures import (
 from fusion_sfdia.benchmarks.network.support.innovations import chi_square, innovations, standardised
 from fusion_sfdia.benchmarks.network.support.residuals import CORRECTED, MEMORYLESS, SETTLE, owners, streams
 from fusion_sfdia.benchmarks.network.support.rows import row
+from fusion_sfdia.common.run_statistics import Estimate, mean_over_runs, proportion, rate_over_runs
 from fusion_sfdia.detectors.stochastic_thresholds.confirmation import (
     Confirmation,
     ConfirmationCusum,
@@ -34,7 +35,6 @@ from fusion_sfdia.models.power_network.operation import AreaFault, load_profile
 from fusion_sfdia.models.power_network.parameters import load_steps
 from fusion_sfdia.models.power_network.simulation import run_network
 from fusion_sfdia.report.content import Summary
-from fusion_sfdia.report.metrics import Estimate, mean_over_runs, proportion, rate_over_runs
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 

@@ -43,13 +43,13 @@ from fusion_sfdia.benchmarks.network.support.residuals import (
 )
 from fusion_sfdia.benchmarks.network.support.rows import row
 from fusion_sfdia.common.random_streams import stream
+from fusion_sfdia.common.run_statistics import Estimate, proportion, rate_over_runs
 from fusion_sfdia.detectors.stochastic_thresholds.threshold_rules import CONFORMAL, RULES, conformal_alpha
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, network_model
 from fusion_sfdia.models.power_network.operation import load_profile
 from fusion_sfdia.models.power_network.parameters import load_steps
 from fusion_sfdia.models.power_network.simulation import run_network
 from fusion_sfdia.report.content import Summary
-from fusion_sfdia.report.metrics import Estimate, proportion, rate_over_runs
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 

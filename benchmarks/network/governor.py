@@ -19,12 +19,12 @@ from fusion_sfdia.benchmarks.network.support.trials import (
     require_settings,
     trial,
 )
+from fusion_sfdia.common.run_statistics import mean_over_runs, share
 from fusion_sfdia.detectors.stochastic_thresholds.consensus import MODES
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, network_model
 from fusion_sfdia.models.power_network.operation import Switch
 from fusion_sfdia.models.power_network.published import DETERMINISTIC_MISSES, GOVERNOR, PLUGGED_IN
 from fusion_sfdia.report.content import ResultTable, Summary
-from fusion_sfdia.report.metrics import mean_over_runs, share
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.report.scenario_sentences import pick, span
 from fusion_sfdia.study.experiments.scenario import Scenario, Settings, Task, seed_blocks

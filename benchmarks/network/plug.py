@@ -25,6 +25,7 @@ from fusion_sfdia.benchmarks.network.support.plug_figures import (
 )
 from fusion_sfdia.benchmarks.network.support.residuals import B18, CORRECTED, SETTLE, normalised, owners
 from fusion_sfdia.benchmarks.network.support.rows import row
+from fusion_sfdia.common.run_statistics import NOTHING, Estimate, rate_over_runs, share
 from fusion_sfdia.detectors.stochastic_thresholds.consensus import Diagnosers, NetworkReadings, initial_state
 from fusion_sfdia.detectors.stochastic_thresholds.network_step import network_step
 from fusion_sfdia.detectors.stochastic_thresholds.replug import opened_sides, reset_sides
@@ -35,7 +36,6 @@ from fusion_sfdia.models.power_network.parameters import load_steps
 from fusion_sfdia.models.power_network.simulation import NetworkSample, run_network
 from fusion_sfdia.plant.areas import Areas
 from fusion_sfdia.report.content import Summary
-from fusion_sfdia.report.metrics import NOTHING, Estimate, rate_over_runs, share
 from fusion_sfdia.report.results import Published, Row
 from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 

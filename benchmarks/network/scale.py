@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.network.support.robust_scale import growth, robust_step
 from fusion_sfdia.benchmarks.network.support.rows import row
+from fusion_sfdia.common.run_statistics import NOTHING
 from fusion_sfdia.detectors.stochastic_thresholds.consensus import Diagnosers, NetworkReadings, initial_state
 from fusion_sfdia.detectors.stochastic_thresholds.network_step import network_step
 from fusion_sfdia.detectors.stochastic_thresholds.partitioned_network import PartitionedNetwork
@@ -28,7 +29,6 @@ from fusion_sfdia.models.power_network.parameters import generate_network
 from fusion_sfdia.models.power_network.running import RunningNetwork
 from fusion_sfdia.plant.areas import Areas
 from fusion_sfdia.report.content import Figure, Summary
-from fusion_sfdia.report.metrics import NOTHING
 from fusion_sfdia.report.plots import panels
 from fusion_sfdia.report.results import Published, Row
 from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Settings, Task

@@ -15,11 +15,11 @@ from fusion_sfdia.benchmarks.pipeline.support.interpretations import (
 )
 from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
 from fusion_sfdia.benchmarks.pipeline.support.trials import PAPER, STRENGTHS, Results, common, tasks, trial
+from fusion_sfdia.common.run_statistics import Estimate
 from fusion_sfdia.models.gas_pipeline import published
 from fusion_sfdia.models.gas_pipeline.plant import SIGMA
 from fusion_sfdia.models.gas_pipeline.published import FAULTS, QUANTITIES
 from fusion_sfdia.report.content import Figure, Summary
-from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.plots import bars, legend_above, panels
 from fusion_sfdia.report.results import Published, Row
 from fusion_sfdia.report.scenario_sentences import left_out, listed, pick

@@ -11,13 +11,13 @@ from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, row
 from fusion_sfdia.benchmarks.pipeline.support.trials import OURS, PAPER, SETTLE, SINGLE, Results, common, tasks
+from fusion_sfdia.common.run_statistics import Estimate, mean_over_runs, rate_over_runs
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.detectors.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.learning.builders import PAPER_FILTERS
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.report.content import Figure, ResultTable, Summary
-from fusion_sfdia.report.metrics import Estimate, mean_over_runs, rate_over_runs
 from fusion_sfdia.report.plots import bars, legend_above, panels
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.report.scenario_sentences import listed, pick

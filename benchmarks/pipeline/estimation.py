@@ -17,6 +17,7 @@ from fusion_sfdia.benchmarks.pipeline.support.interpretations import (
 )
 from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
 from fusion_sfdia.benchmarks.pipeline.support.trials import PAPER, Results, common, initial, tasks, trial
+from fusion_sfdia.common.run_statistics import Estimate
 from fusion_sfdia.detectors.detector import Detector
 from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.detectors.kalman_banks.fusing_bank import FusingBank
@@ -25,7 +26,6 @@ from fusion_sfdia.models.gas_pipeline import published
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.report.content import Figure, Summary
-from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.plots import bars, legend_above, panels
 from fusion_sfdia.report.results import Published, Row
 from fusion_sfdia.report.scenario_sentences import left_out, listed, pick

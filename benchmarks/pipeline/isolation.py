@@ -11,9 +11,9 @@ from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.pipeline.support.rows import judged_runs, row
 from fusion_sfdia.benchmarks.pipeline.support.trials import COMMON, OURS, PAPER, SENSORS, STRENGTHS, Results, grid, tasks, trial
+from fusion_sfdia.common.run_statistics import mean_over_runs
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.report.content import Figure, Summary
-from fusion_sfdia.report.metrics import mean_over_runs
 from fusion_sfdia.report.plots import isolation_matrix, panels
 from fusion_sfdia.report.scenario_sentences import left_out
 from fusion_sfdia.study import detection_metrics as metrics

@@ -9,12 +9,12 @@ from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
 from fusion_sfdia.benchmarks.pipeline.support.trials import OURS, Results, common, grid, tasks, trial
+from fusion_sfdia.common.run_statistics import Estimate
 from fusion_sfdia.models.gas_pipeline.physics import pipeline_parameters
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.content import Figure, Summary
-from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.plots import bars, legend_above, panels
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.report.scenario_sentences import left_out, listed, pick

@@ -8,9 +8,9 @@ from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, detection_rows, judged_runs, row
 from fusion_sfdia.benchmarks.pipeline.support.trials import COMMON, OURS, PAPER, Results, grid, tasks, trial
+from fusion_sfdia.common.run_statistics import Estimate
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.report.content import Figure, Summary
-from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.plots import bars, legend_above, panels
 from fusion_sfdia.report.scenario_sentences import left_out, listed, pick
 from fusion_sfdia.study.experiments.scenario import Scenario, Settings, Task

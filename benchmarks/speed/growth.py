@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from fusion_sfdia.benchmarks.speed.support.counting import CallWork, counted, growth
 from fusion_sfdia.benchmarks.speed.support.processes import printed
-from fusion_sfdia.report.metrics import NOTHING
+from fusion_sfdia.common.run_statistics import NOTHING
 from fusion_sfdia.report.results import Row, row_of
 
 Call = Callable[[], object]

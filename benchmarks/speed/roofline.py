@@ -28,8 +28,8 @@ from fusion_sfdia.benchmarks.speed.support.arithmetic import arithmetic
 from fusion_sfdia.benchmarks.speed.support.calls import COPY, Call, reference, repeated_step, time_row, timed, timed_rows
 from fusion_sfdia.benchmarks.speed.support.processes import printed
 from fusion_sfdia.common.alike import single
-from fusion_sfdia.common.equation import compiled
 from fusion_sfdia.common.errors import NotApplicableError
+from fusion_sfdia.derivatives.equation import compiled
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.detectors.detector import Detector
 from fusion_sfdia.detectors.silent import silent

@@ -1,4 +1,4 @@
-# The public names of this module, which reads this file to find them, and so do type checkers.
+# Public names of this module, which reads them here; type checkers do, too.
 
 from fusion_sfdia.detectors.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold as AdaptiveThreshold
 from fusion_sfdia.detectors.adaptive_thresholds.virtual_sensors import VirtualSensors as VirtualSensors

@@ -21,7 +21,7 @@ from fusion_sfdia.detectors.health import keep_broken_out, of_runs, without_brok
 from fusion_sfdia.detectors.silent import silent, silent_scores
 from fusion_sfdia.detectors.state import State, as_batch, as_single, leaves
 from fusion_sfdia.detectors.verdicts import FAR, far_off, judged
-from fusion_sfdia.logs.as_log import as_log
+from fusion_sfdia.logs.log_forms import as_log
 from fusion_sfdia.plant.border import InputLimits
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant

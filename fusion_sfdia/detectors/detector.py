@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from fusion_sfdia.common.arguments import floats
 from fusion_sfdia.common.errors import NotApplicableError
 from fusion_sfdia.detectors.state import State
-from fusion_sfdia.logs.as_log import as_log
+from fusion_sfdia.logs.log_forms import as_log
 from fusion_sfdia.plant.border import possible
 from fusion_sfdia.plant.plant import Plant
 
@@ -109,7 +109,9 @@ class Decision:
         return np.asarray((self.score > 1) | self.isolated.any(axis=-1))
 
 
-OWN_CLASS = "a class of your own derives from BatchDetector, or from fusion_sfdia.detectors.detector.Claims"
+OWN_CLASS = (
+    "a class of your own derives from fusion_sfdia.detectors.BatchDetector, or from fusion_sfdia.detectors.detector.Claims"
+)
 
 if TYPE_CHECKING:
     Default = property

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.alike import single
-from fusion_sfdia.common.equation import compiled, plain
+from fusion_sfdia.derivatives.equation import compiled, plain
 from fusion_sfdia.detectors.detector import Decision
 from fusion_sfdia.detectors.state import mapped
 

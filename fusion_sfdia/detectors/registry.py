@@ -64,7 +64,7 @@ class NamedDetector(NamedTuple):
 
     build: takes a Plant and returns the Detector. memory: "none" (present readings only), "state estimate only", or the time
     over which evidence of a fault accumulates; "" where it is not stated. source: "module:name" of what builds it. learns:
-    whether build also takes `healthy` (readings, None for simulated ones) and `false_alarm` (a rate), as `named.fit` does.
+    whether build also takes `healthy` (readings, None for simulated ones) and `false_alarm` (a rate), as `learning.fit` does.
     tests_process: whether it also tells faults of the process or errors of the model from those of sensors. most_faults: how
     many sensors it isolates at once at most on any plant; None where only the plant limits it. commissions: whether it
     commissions the plant by itself from the log of the real one. reference: whether it only repeats another detector by other

@@ -65,9 +65,7 @@ def load_detector(path: str | Path, plant: Plant, classes: Iterable[type] = ()) 
     the one with which it was saved: another name, noise, step or layout (see `fingerprint`).
     """
     if not isinstance(plant, Plant):
-        raise ValueError(
-            f"plant is {shown(plant)}; expected a Plant, such as registry.plant('two-tanks') returns it for a name"
-        )
+        raise ValueError(f"plant is {shown(plant)}; expected a Plant, such as fusion_sfdia.plants.two_tanks() returns it")
     try:
         arrays = read_arrays(Path(path))
         settings, expected = json.loads(str(arrays.pop("detector"))), str(arrays.pop("fingerprint"))

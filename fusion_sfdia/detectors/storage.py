@@ -66,7 +66,7 @@ def require_detector(detector: Any) -> None:
     """Raise ValueError for anything but a Detector object, such as its name or its class."""
     if isinstance(detector, type) or not isinstance(detector, Detector):
         raise ValueError(
-            f"detector is {shown(detector)}; expected a Detector, such as registry.detector('kf-chi2', plant) returns it; "
+            f"detector is {shown(detector)}; expected a Detector, such as fusion_sfdia.detector('kf-chi2', plant).detector; "
             f"{OWN_CLASS}"
         )
 
@@ -145,7 +145,7 @@ def load_state(path: str | Path, detector: Detector) -> State:
     try:
         arrays = read_arrays(Path(path))
     except (KeyError, ValueError) as error:
-        raise ValueError(f"{path} is not a saved detector state ({error}); write one with save_state") from error
+        raise ValueError(f"{path} is not a saved detector state ({error}); write one with detectors.save_state") from error
     return state_of(path, detector, arrays)
 
 
@@ -167,7 +167,7 @@ def of_another_detector(path: str | Path, detector: Detector) -> str:
 def state_of(path: str | Path, detector: Detector, arrays: Mapping[str, NDArray[Any]]) -> State:
     """The state of `state_arrays`, read from the file `path`; ValueError as for `load_state`."""
     if "fingerprint" not in arrays:
-        raise ValueError(f"{path} is not a saved detector state ('fingerprint'); write one with save_state")
+        raise ValueError(f"{path} is not a saved detector state ('fingerprint'); write one with detectors.save_state")
     if "detector" in arrays:
         raise ValueError(f"{path} is a saved detector, not a state; read it with load_detector(path, plant)")
     if "t" not in arrays:

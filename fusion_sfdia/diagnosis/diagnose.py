@@ -194,7 +194,7 @@ class Diagnosis:
 
     def __repr__(self) -> str:
         count = len(self.events)
-        return f"<Diagnosis of {len(self.t)} readings, {count} event{'s' * (count != 1)}: {self.verdict}>"
+        return f"<{type(self).__name__} of {len(self.t)} readings, {count} event{'s' * (count != 1)}: {self.verdict}>"
 
     def _repr_html_(self) -> str:
         rows = [(e.hypothesis, self.clock.at(e.start), self.clock.at(e.end), e.told(self.clock)) for e in self.events]

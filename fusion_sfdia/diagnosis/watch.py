@@ -189,12 +189,16 @@ class Watch:
 
     def take(self, t: float | datetime, y: Any, u: Any = ()) -> tuple[Sample, ...]:
         """The former name of `update`."""
-        warnings.warn("Watch.take is Watch.update now; the next release knows it by that alone", DeprecationWarning, 2)
+        warnings.warn(
+            "Watch.take is now Watch.update; the former name will be removed in the next release", DeprecationWarning, 2
+        )
         return self.update(t, y, u)
 
     def rest(self) -> tuple[Sample, ...]:
         """The former name of `finish`."""
-        warnings.warn("Watch.rest is Watch.finish now; the next release knows it by that alone", DeprecationWarning, 2)
+        warnings.warn(
+            "Watch.rest is now Watch.finish; the former name will be removed in the next release", DeprecationWarning, 2
+        )
         return self.finish()
 
     def last(self) -> list[Change]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.alike import repeated, single
-from fusion_sfdia.common.equation import complex_step_jacobian
+from fusion_sfdia.derivatives.equation import complex_step_jacobian
 from fusion_sfdia.filters import small, sparse
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.filters.sums import symmetric_sum

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import compiled, part
+from fusion_sfdia.derivatives.equation import compiled, part
 
 Array = NDArray[Any]
 

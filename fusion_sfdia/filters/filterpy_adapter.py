@@ -23,7 +23,7 @@ from filterpy.kalman import (
 )
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import difference_jacobian
+from fusion_sfdia.derivatives.equation import difference_jacobian
 from fusion_sfdia.filters.ukf import SigmaPoints
 from fusion_sfdia.plant.linear import constant, linear_plant
 from fusion_sfdia.plant.plant import Numerics, Plant

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import compiled
+from fusion_sfdia.derivatives.equation import compiled
 
 Array = NDArray[Any]
 

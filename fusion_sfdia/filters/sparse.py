@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.alike import repeated, single
-from fusion_sfdia.common.equation import compiled, plain
+from fusion_sfdia.derivatives.equation import compiled, plain
 
 Array = NDArray[Any]
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import compiled, plain
+from fusion_sfdia.derivatives.equation import compiled, plain
 
 Array = NDArray[Any]
 

@@ -1,7 +1,5 @@
-# The public names of this module, which reads this file to find them, and so do type checkers.
+# Public names of this module, which reads them here; type checkers do, too.
 
-from fusion_sfdia.detectors.kalman_banks.identifiability import IdentifiabilityResult as IdentifiabilityResult
-from fusion_sfdia.detectors.kalman_banks.identifiability import identifiability as identifiability
 from fusion_sfdia.learning.builders import fit as fit
 from fusion_sfdia.learning.commissioning.commission import Commissioning as Commissioning
 from fusion_sfdia.learning.commissioning.commission import commission as commission

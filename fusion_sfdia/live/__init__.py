@@ -1,1 +1,1 @@
-"""Diagnosis of readings as they arrive: rows in, events out, with a state that survives the process."""
+"""Bridges of a `Watch`: text, OPC UA and MQTT in, verdicts and alarms out; its saving, status and security."""

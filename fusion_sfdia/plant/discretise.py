@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import floats, number
-from fusion_sfdia.common.equation import difference_jacobian, step_of_change
 from fusion_sfdia.derivatives.differentiable import Differentiable
+from fusion_sfdia.derivatives.equation import difference_jacobian, step_of_change
 from fusion_sfdia.plant.integration import (
     Integrated,
     IntegratedOutput,

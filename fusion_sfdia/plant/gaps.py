@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import step_of_change
+from fusion_sfdia.derivatives.equation import step_of_change
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.any_time import ANY_TIME
-from fusion_sfdia.common.equation import complex_step_jacobian, plain
 from fusion_sfdia.derivatives import straight_line_kernels
+from fusion_sfdia.derivatives.equation import complex_step_jacobian, plain
 from fusion_sfdia.derivatives.straight_line import Program, record, uses
 from fusion_sfdia.derivatives.straight_line_kernels import ALGEBRAIC_TOLERANCE, MAX_SWEEPS
 from fusion_sfdia.plant.physics import Physics

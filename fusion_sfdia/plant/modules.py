@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import argument_names
+from fusion_sfdia.derivatives.equation import argument_names
 
 Array = NDArray[Any]
 

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import floats, number, require_unique, shown
 from fusion_sfdia.common.covariance import diagonal, require_covariance
-from fusion_sfdia.common.equation import complex_step_holds, complex_step_jacobian, difference_jacobian
 from fusion_sfdia.common.html import as_html
 from fusion_sfdia.derivatives.analytic import WRONG, Use, non_analytic
 from fusion_sfdia.derivatives.differentiable import Differentiable, with_jacobian
+from fusion_sfdia.derivatives.equation import complex_step_holds, complex_step_jacobian, difference_jacobian
 from fusion_sfdia.plant.areas import Areas
 from fusion_sfdia.plant.cyclic import Cyclic, cyclic, near
 from fusion_sfdia.plant.limits import within

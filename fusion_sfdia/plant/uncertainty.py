@@ -162,7 +162,7 @@ class Uncertainty:
         if self.parameters and self.step is None:
             raise ValueError(
                 "parameters are given without the model at other values; give step and output, or use "
-                "secants(plant, parameters, rebuild)"
+                "fusion_sfdia.plants.secants(plant, parameters, rebuild)"
             )
         for name, sd in self.inputs.items():
             if not 0 < number(f"error of input {name!r}", sd) < np.inf:

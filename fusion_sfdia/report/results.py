@@ -12,7 +12,7 @@ from typing import Any
 
 from fusion_sfdia.common.files import atomic_write
 from fusion_sfdia.common.plain_text import cell, plain, uncell
-from fusion_sfdia.report.metrics import Estimate
+from fusion_sfdia.common.run_statistics import Estimate
 
 COLUMNS = (
     "scenario", "plant", "detector", "fault", "quantity", "condition", "metric",

@@ -1,1 +1,1 @@
-"""Which errors of real plants a detector survives: noise, starts, model errors and causes that no protocol was tuned to."""
+"""Studies of detectors: cases, trials and metrics, the comparison, audits, and scenarios run in processes."""

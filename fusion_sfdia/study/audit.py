@@ -1,4 +1,4 @@
-"""Audit of a detector on a plant: which of the errors and causes of `protocol` it survives, as numbers and in words."""
+"""Audit of a detector on a plant: which of the errors and causes of `error_protocol` it survives, as numbers and in words."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from fusion_sfdia.common.run_statistics import Estimate, proportion, rate_over_runs
 from fusion_sfdia.detectors.detector import Decision, Detector, of_run
 from fusion_sfdia.diagnosis.diagnose import DiagnosisWarning, concluded, decided, diagnose_run
 from fusion_sfdia.diagnosis.events import Event
 from fusion_sfdia.diagnosis.lag import explained_by_lag
 from fusion_sfdia.plant.gaps import Gap, Track, bridged
 from fusion_sfdia.plant.plant import Plant
-from fusion_sfdia.report.metrics import Estimate, proportion, rate_over_runs
 from fusion_sfdia.report.results import Row, row_of
 from fusion_sfdia.study.error_protocol import GROUPS, STEPS, Case, ErrorTrial, cases_for, trial
 from fusion_sfdia.study.experiments.workers import in_processes

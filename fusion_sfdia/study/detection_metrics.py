@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.metrics import roc_curve
 
-from fusion_sfdia.report.metrics import (
+from fusion_sfdia.common.run_statistics import (
     NOTHING,
     Estimate,
     jackknife_over_runs,

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.report.metrics import Estimate, mean_over_runs, proportion, require_shapes
+from fusion_sfdia.common.run_statistics import Estimate, mean_over_runs, proportion, require_shapes
 
 Array = NDArray[Any]
 

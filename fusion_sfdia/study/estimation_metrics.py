@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from fusion_sfdia.common.run_statistics import LEVEL, NOTHING, Estimate, mean_over_runs, require_shapes
 from fusion_sfdia.plant.plant import Plant
-from fusion_sfdia.report.metrics import LEVEL, NOTHING, Estimate, mean_over_runs, require_shapes
 
 Array = NDArray[Any]
 

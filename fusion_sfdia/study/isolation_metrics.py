@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.metrics import confusion_matrix
 
-from fusion_sfdia.report.metrics import Estimate, rate_over_runs, require_shapes
+from fusion_sfdia.common.run_statistics import Estimate, rate_over_runs, require_shapes
 
 Array = NDArray[Any]
 

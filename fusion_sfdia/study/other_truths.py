@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import difference_jacobian
+from fusion_sfdia.derivatives.equation import difference_jacobian
 from fusion_sfdia.plant.augment import augment
 from fusion_sfdia.plant.plant import Plant, Structure
 from fusion_sfdia.plant.uncertainty import Disturbance, Uncertainty

@@ -29,8 +29,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import compiled, equation
 from fusion_sfdia.derivatives.dual import dual
+from fusion_sfdia.derivatives.equation import compiled, equation
 from fusion_sfdia.models.gas_pipeline.natural_gas import Gas
 
 Array = NDArray[Any]

@@ -30,8 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import number
-from fusion_sfdia.common.equation import batch_rows
 from fusion_sfdia.derivatives.differentiable import Differentiable
+from fusion_sfdia.derivatives.equation import batch_rows
 from fusion_sfdia.models.gas_pipeline import equations
 from fusion_sfdia.models.gas_pipeline.equations import PipelineParameters
 from fusion_sfdia.models.gas_pipeline.natural_gas import PRESSURES, TEMPERATURES

@@ -26,8 +26,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import argument_names, compiled, equation
 from fusion_sfdia.derivatives.dual import dual
+from fusion_sfdia.derivatives.equation import argument_names, compiled, equation
 
 Array = NDArray[Any]
 

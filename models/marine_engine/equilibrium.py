@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import batch_rows
+from fusion_sfdia.derivatives.equation import batch_rows
 from fusion_sfdia.models.marine_engine import equations
 from fusion_sfdia.models.marine_engine.equations import ALGEBRAIC, STATES, EngineParameters
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import plain
+from fusion_sfdia.derivatives.equation import plain
 from fusion_sfdia.models.marine_engine import equations
 from fusion_sfdia.models.marine_engine.equations import ALGEBRAIC, STATES, EngineParameters
 from fusion_sfdia.models.marine_engine.equilibrium import follows_law

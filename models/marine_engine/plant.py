@@ -27,8 +27,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import batch_rows
 from fusion_sfdia.derivatives.differentiable import Differentiable
+from fusion_sfdia.derivatives.equation import batch_rows
 from fusion_sfdia.models.marine_engine import equations
 from fusion_sfdia.models.marine_engine.equations import ALGEBRAIC, STATES, EngineParameters
 from fusion_sfdia.models.marine_engine.equilibrium import engine_variables, equilibrium, follows_law

@@ -45,7 +45,7 @@ THREE_FAULTS = Experiment(
         PublishedOffset("S(3){1}", 45.0, 5e4),
         PublishedOffset("S(4){2}", 70.0, 8.0),
     ),  # N m, Pa, K
-    100.0,  # s, not stated; the axes of Fig. 4 were not available. Our choice by P^E, see tests/test_diagnosis_metrics.py
+    100.0,  # s, not stated; the axes of Fig. 4 were not available. Our choice by P^E, see tests/study/test_diagnosis_metrics.py
     0.05,
     {"M(2,3)": 20.0, "M(3,1)": 45.06, "M(3,3)": 69.9, "M(4,2)": 70.01},
     f"{K24}, Fig. 4 and sec. VII, one run",

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import COMPLEX_STEP, compiled, equation
+from fusion_sfdia.derivatives.equation import COMPLEX_STEP, compiled, equation
 
 Array = NDArray[Any]
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import batch_rows
+from fusion_sfdia.derivatives.equation import batch_rows
 from fusion_sfdia.models.power_network import equations
 from fusion_sfdia.models.power_network.parameters import DYNAMIC, NetworkParameters, load_network
 from fusion_sfdia.plant.linear import zero_order_hold

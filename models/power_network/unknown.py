@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import plain
 from fusion_sfdia.derivatives.differentiable import Differentiable
+from fusion_sfdia.derivatives.equation import plain
 from fusion_sfdia.models.power_network import equations
 from fusion_sfdia.models.power_network.model import NetworkModel
 from fusion_sfdia.models.power_network.operation import NetworkCondition

@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import equation
+from fusion_sfdia.derivatives.equation import equation
 from fusion_sfdia.plant.discretise import discretise
 from fusion_sfdia.plant.modules import Modules
 from fusion_sfdia.plant.physics import Physics

@@ -136,7 +136,7 @@ def test_diagnose_takes_a_detector_by_name() -> None:
         found.events[0].hypothesis == "l2"
         and found.events == diagnose("kf-chi2", (recording.t, y, recording.u), plant=tanks()).events
     )
-    with pytest.raises(ValueError, match=r"'kf-chi2' is a name, which needs its plant; pass it"):
+    with pytest.raises(ValueError, match=r"detector 'kf-chi2' has no plant yet; pass plant="):
         diagnose("kf-chi2", recording)
     with pytest.raises(ValueError, match=r"unknown detector 'kf-chi'; did you mean 'kf-chi2'"):
         diagnose("kf-chi", recording, plant=PLANT)
@@ -156,7 +156,7 @@ def test_diagnose_takes_a_class_or_function_that_builds_a_detector() -> None:
         np.testing.assert_array_equal(found.decisions.residual, expected.decisions.residual)
     with pytest.raises(ValueError, match=r"CentralFilter is a class; build it on a plant first, as in CentralFilter\(plant\)"):
         run(CentralFilter, CentralFilter(tanks()).init(), recording)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match=r"detector CentralFilter is not built: it needs its plant; pass it"):
+    with pytest.raises(ValueError, match=r"detector 'CentralFilter' has no plant yet; pass plant="):
         diagnose(CentralFilter, recording)
     for wrong in (tanks(), None):
         with pytest.raises(

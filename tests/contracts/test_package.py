@@ -67,10 +67,20 @@ def test_no_two_public_names_differ_by_case_or_stand_twice() -> None:
 
 
 def test_a_former_name_warns_and_says_where_it_is() -> None:
-    with pytest.warns(DeprecationWarning, match=r"fusion_sfdia.RobustBank is fusion_sfdia.detectors.RobustBank now"):
+    with pytest.warns(DeprecationWarning, match=r"fusion_sfdia.RobustBank is now fusion_sfdia.detectors.RobustBank"):
         assert fusion_sfdia.RobustBank is fusion_sfdia.detectors.RobustBank
-    with pytest.warns(DeprecationWarning, match=r"fusion_sfdia.inspect_plant is fusion_sfdia.inspect now"):
+    with pytest.warns(DeprecationWarning, match=r"fusion_sfdia.inspect_plant is now fusion_sfdia.inspect"):
         assert fusion_sfdia.inspect_plant is fusion_sfdia.inspect
+    with pytest.warns(DeprecationWarning, match=r"fusion_sfdia.registry is now fusion_sfdia.detectors.registry"):
+        assert fusion_sfdia.registry is sys.modules["fusion_sfdia.detectors.registry"]
+
+
+def test_no_public_name_is_that_of_a_module_of_its_package(root: Path) -> None:
+    """Importing the module would put it in the place of the name."""
+    for module in GROUPS:
+        folder = Path(str(module.__file__)).parent
+        if folder != root / "fusion_sfdia":
+            assert not {p.stem for p in folder.iterdir()} & {*module.__all__}
 
 
 def test_the_command_runs_as_a_module(tmp_path: Path) -> None:

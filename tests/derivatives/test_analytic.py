@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from toy_plants import Array, chain
 
-from fusion_sfdia.common.equation import difference_jacobian
 from fusion_sfdia.derivatives.analytic import KINK, REFUSED, WRONG, non_analytic
+from fusion_sfdia.derivatives.equation import difference_jacobian
 
 X = np.array([[1.0, 2.0], [0.5, 3.0]])
 

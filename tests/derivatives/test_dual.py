@@ -1,8 +1,8 @@
 import numpy as np
 from numba import njit
 
-from fusion_sfdia.common.equation import COMPLEX_STEP, equation
 from fusion_sfdia.derivatives.dual import dual
+from fusion_sfdia.derivatives.equation import COMPLEX_STEP, equation
 
 
 @equation

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from toy_plants import Array
 
-from fusion_sfdia.common.equation import complex_step_jacobian
+from fusion_sfdia.derivatives.equation import complex_step_jacobian
 from fusion_sfdia.derivatives.straight_line import record
 from fusion_sfdia.plant.discretise import discretise
 from fusion_sfdia.plant.integration import Integrated

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fusion_sfdia.common.equation import difference_jacobian
+from fusion_sfdia.derivatives.equation import difference_jacobian
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.diagnosis.simulate import simulate

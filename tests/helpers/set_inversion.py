@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fusion_sfdia.common.equation import equation
+from fusion_sfdia.derivatives.equation import equation
 from fusion_sfdia.derivatives.intervals.interval import Interval
 
 

@@ -13,8 +13,8 @@ import pytest
 from toy_plants import Array, tanks
 
 from fusion_sfdia.common.errors import MissingPackageError
-from fusion_sfdia.logs.as_log import as_log
 from fusion_sfdia.logs.loaded_log import LoadedLog
+from fusion_sfdia.logs.log_forms import as_log
 from fusion_sfdia.logs.log_map import Column, LogMap
 from fusion_sfdia.logs.reading import load_log
 from fusion_sfdia.plant.signals import Signal

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from rounding import rounding
 
-from fusion_sfdia.common.equation import difference_jacobian
+from fusion_sfdia.derivatives.equation import difference_jacobian
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.models.gas_pipeline.physics import pipeline_parameters
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline

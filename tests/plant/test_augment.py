@@ -13,8 +13,8 @@ from rounding import rounding
 from toy_plants import chain
 
 from fusion_sfdia.common.covariance import diagonal
-from fusion_sfdia.common.equation import difference_jacobian
 from fusion_sfdia.common.errors import NotApplicableError
+from fusion_sfdia.derivatives.equation import difference_jacobian
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.detectors.detector import run
 from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from toy_plants import changed, tank_physics, tanks
 
-from fusion_sfdia.common.equation import complex_step_jacobian
+from fusion_sfdia.derivatives.equation import complex_step_jacobian
 from fusion_sfdia.plant.discretise import discretise
 from fusion_sfdia.plant.integration import exponential_midpoint, runge_kutta_4, solve_algebraic
 from fusion_sfdia.plant.physics import Physics

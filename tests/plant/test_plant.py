@@ -9,7 +9,7 @@ import pytest
 from toy_plants import chain, changed, tank_physics, tanks
 
 from fusion_sfdia.common.covariance import diagonal, require_covariance
-from fusion_sfdia.common.equation import complex_step_jacobian
+from fusion_sfdia.derivatives.equation import complex_step_jacobian
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.detectors.detector import run
 from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter

@@ -7,9 +7,9 @@ import pytest
 from engine_signatures import AGENTS, K24_LOCAL, SENSORS
 from scipy.stats import binomtest
 
+from fusion_sfdia.common.run_statistics import NOTHING
 from fusion_sfdia.detectors.adaptive_thresholds.diagnosis_sets import DiagnosisLogic, latched
 from fusion_sfdia.detectors.adaptive_thresholds.signatures import signature_matrix
-from fusion_sfdia.report.metrics import NOTHING
 from fusion_sfdia.study.detection_metrics import detection_delay, missed_detection_rate
 from fusion_sfdia.study.diagnosis_metrics import (
     exoneration_performance,

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.chemical.support.recordings import MEASUREMENTS, digest, recording
+from fusion_sfdia.common.run_statistics import NOTHING, Estimate
 from fusion_sfdia.plant.plant import Plant
-from fusion_sfdia.report.metrics import NOTHING, Estimate
 from fusion_sfdia.study.experiments.scenario import Settings, Task
 
 Array = NDArray[Any]

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, MOST_NOISE, engine, extremes
 from fusion_sfdia.common.random_streams import stream
+from fusion_sfdia.common.run_statistics import Estimate, mean_over_runs, proportion, share
 from fusion_sfdia.detectors.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.detectors.adaptive_thresholds.diagnosis_sets import DiagnosisLogic
 from fusion_sfdia.detectors.adaptive_thresholds.monitored_plant import ENVELOPE
@@ -29,7 +30,6 @@ from fusion_sfdia.models.marine_engine.modules import alone as modules_alone
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters
 from fusion_sfdia.models.marine_engine.plant import marine_engine
 from fusion_sfdia.plant.plant import Plant
-from fusion_sfdia.report.metrics import Estimate, mean_over_runs, proportion, share
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.study.diagnosis_metrics import Response
 from fusion_sfdia.study.experiments.scenario import Arrays, Settings

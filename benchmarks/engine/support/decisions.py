@@ -10,10 +10,10 @@ from matplotlib.figure import Figure as Drawing
 from matplotlib.lines import Line2D
 
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES, Array, Timeline, engine, row
+from fusion_sfdia.common.run_statistics import Estimate, mean_over_runs, proportion
 from fusion_sfdia.detectors.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.models.marine_engine.published import Experiment
 from fusion_sfdia.report.content import Figure, ResultTable
-from fusion_sfdia.report.metrics import Estimate, mean_over_runs, proportion
 from fusion_sfdia.report.plots import COLOURS, Bars, bars, legend_above, panels
 from fusion_sfdia.report.results import Published, Row
 from fusion_sfdia.report.scenario_sentences import pick, span

@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES
+from fusion_sfdia.common.run_statistics import Estimate
 from fusion_sfdia.models.marine_engine.plant import SENSORS
 from fusion_sfdia.models.marine_engine.published import DELAYS, DELAYS_SOURCE, K24
 from fusion_sfdia.report.content import Figure
-from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.plots import COLOURS, legend_above, panels
 from fusion_sfdia.report.results import Published, Row
 from fusion_sfdia.report.scenario_sentences import pick

@@ -10,8 +10,8 @@ from matplotlib.lines import Line2D
 
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, NAMES, engine
 from fusion_sfdia.benchmarks.engine.support.virtual_trials import FAULTS, INTERSECTED, MAPE, PRINTED, SINCE, SIZED, VARIANTS
+from fusion_sfdia.common.run_statistics import proportion
 from fusion_sfdia.report.content import Figure
-from fusion_sfdia.report.metrics import proportion
 from fusion_sfdia.report.plots import COLOURS, Bars, bars, legend_above, panels
 from fusion_sfdia.study.experiments.scenario import Arrays
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.report.metrics import Estimate, bootstrap_over_runs, mean_over_runs
+from fusion_sfdia.common.run_statistics import Estimate, bootstrap_over_runs, mean_over_runs
 from fusion_sfdia.report.results import Published, Row, row_of
 
 Array = NDArray[Any]

@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from fusion_sfdia.common.run_statistics import Estimate
 from fusion_sfdia.detectors.kalman_banks.fusing_bank import FEEDBACKS
 from fusion_sfdia.models.gas_pipeline.plant import PROCESS_NOISE
 from fusion_sfdia.report.content import Interval, ResultTable
-from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.results import Published
 from fusion_sfdia.study.experiments.scenario import Settings
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.pipeline.support.trials import AFTERMATH, SENSORS, SETTLE, cases
+from fusion_sfdia.common.run_statistics import NOTHING, Estimate, proportion
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
-from fusion_sfdia.report.metrics import NOTHING, Estimate, proportion
 from fusion_sfdia.report.plots import Bars
 from fusion_sfdia.report.results import Published, Row, row_of
 from fusion_sfdia.study import detection_metrics as metrics

@@ -14,7 +14,7 @@ import numpy as np
 from filterpy.kalman import EnsembleKalmanFilter, ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import complex_step_jacobian
+from fusion_sfdia.derivatives.equation import complex_step_jacobian
 from fusion_sfdia.filters.gaussian import dense
 from fusion_sfdia.models.gas_pipeline.physics import pipeline_parameters, pipeline_physics
 from fusion_sfdia.plant.integration import runge_kutta_4

@@ -12,10 +12,10 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from fusion_sfdia.common.run_statistics import NOTHING
 from fusion_sfdia.detectors.detector import Decision, Detector
 from fusion_sfdia.detectors.state import State
 from fusion_sfdia.diagnosis.simulate import simulate
-from fusion_sfdia.report.metrics import NOTHING
 from fusion_sfdia.report.results import Row, row_of
 from fusion_sfdia.study.experiments.timing import turns_of
 

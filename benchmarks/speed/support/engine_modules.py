@@ -14,7 +14,7 @@ import numpy as np
 
 from fusion_sfdia.benchmarks.engine.support.campaign import noise, steady_detector, truth
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES
-from fusion_sfdia.common.equation import argument_names
+from fusion_sfdia.derivatives.equation import argument_names
 from fusion_sfdia.derivatives.intervals.codac_adapter import codac_sivia
 from fusion_sfdia.derivatives.intervals.expression import Expression, record
 from fusion_sfdia.derivatives.intervals.interval import Interval

@@ -17,7 +17,7 @@ from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.speed.support.against_filterpy import MEMBERS, Model, step_call
-from fusion_sfdia.common.equation import complex_step_jacobian
+from fusion_sfdia.derivatives.equation import complex_step_jacobian
 from fusion_sfdia.filters import ekf, enkf, ukf
 from fusion_sfdia.filters.gaussian import condition
 from fusion_sfdia.plant.discretise import discretise

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.speed.support.against_filterpy import MEMBERS
 from fusion_sfdia.benchmarks.speed.support.lorenz_96 import AHEAD, BEHIND, DT, FAR, FORCING, SIZE, lorenz_96
-from fusion_sfdia.common.equation import complex_step_jacobian
+from fusion_sfdia.derivatives.equation import complex_step_jacobian
 from fusion_sfdia.detectors.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.filters import ekf, enkf, ukf
 from fusion_sfdia.filters.gaussian import condition

@@ -56,7 +56,7 @@ def codac_sivia(
     try:
         import codac
     except ImportError as error:
-        raise ImportError("codac is not installed: pip install 'fusion-sfdia[codac]', or use fusion_sfdia.sivia") from error
+        raise ImportError("codac is not installed: pip install 'fusion-sfdia[codac]', or use our own sivia") from error
     n = checked_size(box, tolerance, budget=1)
     expression = record(function, n + len(parameters))
     targets = [target] if isinstance(target, Interval) else list(target)
@@ -92,7 +92,7 @@ def codac_sivia(
     values += [interval(slot) if isinstance(slot, Interval) else None for slot in expression.slots[len(values) :]]
     for i, ufunc, operands in expression.operations:
         if ufunc not in operations:
-            raise ValueError(f"codac has no {ufunc.__name__}: use fusion_sfdia.sivia")
+            raise ValueError(f"codac has no {ufunc.__name__}: use our own sivia")
         values[i] = operations[ufunc](*(values[k] for k in operands))
     results, expected = [values[i] for i in expression.outputs], [interval(t) for t in targets]
     start = codac.IntervalVector([[float(lo), float(hi)] for lo, hi in zip(box.lo, box.hi, strict=True)])

@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import shown
-from fusion_sfdia.common.equation import COMPLEX_STEP, plain
+from fusion_sfdia.derivatives.equation import COMPLEX_STEP, plain
 from fusion_sfdia.detectors.adaptive_thresholds.algebraic_bounds import METHODS, enclosed
 from fusion_sfdia.detectors.adaptive_thresholds.corner_bounds import Slopes, prove
 from fusion_sfdia.detectors.adaptive_thresholds.diagnosis_sets import DiagnosisLogic, module_logic

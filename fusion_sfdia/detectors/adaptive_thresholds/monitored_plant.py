@@ -23,8 +23,8 @@ def modules_of(plant: Plant) -> Modules:
     """Return the plant's modules; NotApplicableError where it states none."""
     if plant.structure.modules is None:
         raise NotApplicableError(
-            f"plant {plant.name!r} does not state its scalar equations; give Plant(structure=Structure(modules=Modules(...))) "
-            "or take another detector"
+            f"plant {plant.name!r} does not state its scalar equations; give Plant(structure=Structure(modules=Modules(...))), "
+            "both of fusion_sfdia.plants, or take another detector"
         )
     require_no_cycles(plant, "monitoring modules")
     return plant.structure.modules

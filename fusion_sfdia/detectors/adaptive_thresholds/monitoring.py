@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import argument_names, compiled
+from fusion_sfdia.derivatives.equation import argument_names, compiled
 from fusion_sfdia.plant.modules import Modules
 
 Array = NDArray[Any]

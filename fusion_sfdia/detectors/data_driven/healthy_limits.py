@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.common.arguments import floats
 from fusion_sfdia.common.order_statistics import order_statistic
 from fusion_sfdia.detectors.detector import Decision
-from fusion_sfdia.logs.as_log import as_log
+from fusion_sfdia.logs.log_forms import as_log
 from fusion_sfdia.plant.border import possible
 from fusion_sfdia.plant.plant import Plant
 

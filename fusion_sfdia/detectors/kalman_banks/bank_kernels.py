@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import compiled
+from fusion_sfdia.derivatives.equation import compiled
 
 Array = NDArray[Any]
 

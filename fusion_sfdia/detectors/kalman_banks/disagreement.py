@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import compiled
+from fusion_sfdia.derivatives.equation import compiled
 from fusion_sfdia.detectors.kalman_banks.bank_kernels import runs
 
 Array = NDArray[Any]

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
-from fusion_sfdia.common.equation import compiled, plain
+from fusion_sfdia.derivatives.equation import compiled, plain
 
 Array = NDArray[Any]
 

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammainc
 
-from fusion_sfdia.common.equation import compiled, part
+from fusion_sfdia.derivatives.equation import compiled, part
 from fusion_sfdia.detectors.kalman_banks import bank_kernels
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import LeaveOneOut
 from fusion_sfdia.detectors.kalman_banks.likelihood_window import Inflation

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.alike import repeated, shared_again, single
-from fusion_sfdia.common.equation import COMPLEX_STEP, complex_step_holds, difference_jacobian
 from fusion_sfdia.common.errors import NotApplicableError
+from fusion_sfdia.derivatives.equation import COMPLEX_STEP, complex_step_holds, difference_jacobian
 from fusion_sfdia.detectors.batch_detector import TimeStep
 from fusion_sfdia.detectors.kalman_banks.sequential_bank import SequentialBank
 from fusion_sfdia.filters.estimators import Prior

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import plain
+from fusion_sfdia.derivatives.equation import plain
 from fusion_sfdia.detectors.stochastic_thresholds import consensus_equations as equations
 from fusion_sfdia.detectors.stochastic_thresholds.consensus_equations import UNKNOWN
 from fusion_sfdia.plant.areas import Areas

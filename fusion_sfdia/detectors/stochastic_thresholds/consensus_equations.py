@@ -67,7 +67,7 @@ from typing import Any
 
 import numpy as np
 
-from fusion_sfdia.common.equation import compiled, equation
+from fusion_sfdia.derivatives.equation import compiled, equation
 
 UNKNOWN = 1e100  # an error bound without information: such residuals are not tested
 ENOUGH = UNKNOWN**0.5  # deviations below this are of known readings

@@ -33,7 +33,7 @@ from fusion_sfdia.detectors.stochastic_thresholds.consensus import MODES
 from fusion_sfdia.detectors.stochastic_thresholds.fault_functions import FaultFunction
 from fusion_sfdia.detectors.stochastic_thresholds.threshold_rules import BOUND, CONFORMAL, RULES, require_rule
 from fusion_sfdia.detectors.stochastic_thresholds.unread_states import require_estimable
-from fusion_sfdia.logs.as_log import as_log
+from fusion_sfdia.logs.log_forms import as_log
 from fusion_sfdia.plant.areas import Areas
 from fusion_sfdia.plant.log import Log, one_run
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import plain
+from fusion_sfdia.derivatives.equation import plain
 from fusion_sfdia.detectors.stochastic_thresholds import consensus_equations
 from fusion_sfdia.detectors.stochastic_thresholds.consensus import MODES, Diagnosers, NetworkReadings
 from fusion_sfdia.plant.areas import Areas

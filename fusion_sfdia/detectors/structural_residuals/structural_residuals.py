@@ -24,7 +24,7 @@ from fusion_sfdia.detectors.state import mapped
 from fusion_sfdia.detectors.structural_residuals.selection import reads, selected
 from fusion_sfdia.detectors.structural_residuals.sequences import Sequences
 from fusion_sfdia.detectors.structural_residuals.structure import Residual, modules_of
-from fusion_sfdia.logs.as_log import as_log
+from fusion_sfdia.logs.log_forms import as_log
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.redundancy import why_no_more
 

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from fusion_sfdia.common.equation import argument_names
 from fusion_sfdia.common.errors import MissingPackageError, NotApplicableError
+from fusion_sfdia.derivatives.equation import argument_names
 from fusion_sfdia.detectors.detector import require_no_cycles
 from fusion_sfdia.plant.modules import Modules
 from fusion_sfdia.plant.plant import Plant
@@ -51,7 +51,7 @@ def modules_of(plant: Plant) -> Modules:
     if plant.structure.modules is None:
         raise NotApplicableError(
             f"plant {plant.name!r} does not state its scalar equations, without which it has no structure to analyse; give "
-            "Plant(structure=Structure(modules=Modules(...))) or take another detector"
+            "Plant(structure=Structure(modules=Modules(...))), both of fusion_sfdia.plants, or take another detector"
         )
     require_no_cycles(plant, "structural residuals")
     measured = [s.measures for s in plant.sensors]

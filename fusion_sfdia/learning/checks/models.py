@@ -10,8 +10,8 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import difference_jacobian
 from fusion_sfdia.derivatives.analytic import REFUSED, WRONG
+from fusion_sfdia.derivatives.equation import difference_jacobian
 from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]

@@ -2,9 +2,9 @@
 
 A sensor that reads in steps gets that resolution, and one that scatters clearly more than stated the noise that it has. Then
 three stages, each on the result of the one before: declared parameters and errors of inputs (`parameters`), directions of
-mismatch of which nothing is declared (`disturbances`), process and sensor noise (`noise`). Each is learnt from one half of the
-log and judged by the likelihood of the other half, and the reverse; what is kept is then learnt from the whole log. Where the
-innovations of a sensor are still slow, that is the slow part of its noise (`slow_noise`).
+mismatch of which nothing is declared (`disturbances`), process and sensor noise (`noise_likelihood`). Each is learnt from one
+half of the log and judged by the likelihood of the other half, and the reverse; what is kept is then learnt from the whole
+log. Where the innovations of a sensor are still slow, that is the slow part of its noise (`learnt_slow_noise`).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from fusion_sfdia.learning.commissioning.refusals import (
 )
 from fusion_sfdia.learning.commissioning.score import FilterScore, coloured, fitted
 from fusion_sfdia.learning.commissioning.start import Start, first_error, first_state, with_start
-from fusion_sfdia.logs.as_log import as_log
+from fusion_sfdia.logs.log_forms import as_log
 from fusion_sfdia.plant.augment import fixed
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant

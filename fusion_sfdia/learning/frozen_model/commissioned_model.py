@@ -5,7 +5,7 @@
    moves them as far as it takes to excuse these.
 2. The errors e = v - B phi(x, u): phi = [1], or [1, z] of the standardised states and inputs where blocks of the log that B was
    not learnt from gain by it; by ridge regression on means over `FIT_OF` rows, as the noise of single rows in z biases B.
-3. Of each window the covariance of the means of e over blocks that were left out, and the limit of T (`windows`): of the
+3. Of each window the covariance of the means of e over blocks that were left out, and the limit of T (`window_means`): of the
    largest T of each block, with B and covariance from other blocks, the bound that that of another one stays below with
    probability `SURE`, from a normal distribution of its logarithm.
 

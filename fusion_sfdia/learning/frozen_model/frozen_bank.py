@@ -3,7 +3,7 @@
 Nothing is learnt after commissioning (`commissioned_model`), so that nothing absorbs a slow drift, and when a fault ends the
 residuals are as before. In each row
 
-- a window is in alarm where its T (`windows`) exceeds its limit, and its last quarter still shows it;
+- a window is in alarm where its T (`window_means`) exceeds its limit, and its last quarter still shows it;
 - of the causes, offsets of sensors and changes of unknowns, those explain the event that leave little of T: on average over
   its rows in alarm, the latest more, at most the limit, or `SMALL` of T;
 - one that explains much better than all others is named, a sensor or an unknown; otherwise those that explain are suspects,

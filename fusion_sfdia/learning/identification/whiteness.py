@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.common.arguments import whole
 from fusion_sfdia.filters.estimators import Extended
 from fusion_sfdia.filters.gaussian import condition
-from fusion_sfdia.logs.as_log import as_log
+from fusion_sfdia.logs.log_forms import as_log
 from fusion_sfdia.plant.log import one_run
 from fusion_sfdia.plant.plant import Plant
 

@@ -22,7 +22,7 @@ from fusion_sfdia.learning.inspection.steady import of_start
 from fusion_sfdia.learning.inspection.stepping import of_step, stepping
 from fusion_sfdia.learning.inspection.structure import of_structure, structural
 from fusion_sfdia.learning.inspection.turns import beyond_a_turn, of_turns, turns
-from fusion_sfdia.logs.as_log import as_log
+from fusion_sfdia.logs.log_forms import as_log
 from fusion_sfdia.plant.log import one_run
 from fusion_sfdia.plant.plant import Plant
 

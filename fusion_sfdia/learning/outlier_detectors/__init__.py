@@ -1,1 +1,1 @@
-"""Monitoring without a model: what is learnt from healthy logs, and what it finds in others."""
+"""Detectors on identified models with scikit-learn's interface, and thresholds calibrated on healthy logs."""

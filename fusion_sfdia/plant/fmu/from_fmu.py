@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import number, whole
-from fusion_sfdia.common.equation import difference_jacobian, step_of_change
+from fusion_sfdia.derivatives.equation import difference_jacobian, step_of_change
 from fusion_sfdia.plant.fmu.functions import CoSimulation, ModelExchange
 from fusion_sfdia.plant.fmu.handle import Fmu, digest_of
 from fusion_sfdia.plant.fmu.interface import MODEL_EXCHANGE, Interface, Variable, read_interface

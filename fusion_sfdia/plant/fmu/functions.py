@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import difference_jacobian
+from fusion_sfdia.derivatives.equation import difference_jacobian
 from fusion_sfdia.plant.augment import joined
 from fusion_sfdia.plant.fmu.handle import Fmu
 

@@ -1,6 +1,6 @@
 """Cells of a comparison: what one detector did on one plant, and its numbers with intervals.
 
-Intervals are those of `report.metrics`, one rule for each kind of number: shares of runs Wilson's, shares of samples the
+Intervals are those of `common.run_statistics`, one rule for each kind of number: shares of runs Wilson's, shares of samples the
 same for the variance between runs, means over runs Student's, areas under a ROC the jackknife over seeds. Where a number
 depends on the threshold, its interval contains how uncertain the threshold is: half the difference of the numbers with
 thresholds a standard error lower and higher, added in quadrature; for bias, drift, noise and scale of the small and the large
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.report.metrics import Estimate, mean_over_runs, normal_quantile, proportion, rate_over_runs
+from fusion_sfdia.common.run_statistics import Estimate, mean_over_runs, normal_quantile, proportion, rate_over_runs
 from fusion_sfdia.study import detection_metrics as metrics
 from fusion_sfdia.study.comparison.protocol import GRADED, PROCESS, conditions
 from fusion_sfdia.study.comparison.subjects import ComparedPlant, cases_of, plant_of

@@ -1,8 +1,8 @@
 """comparison: every detector on every plant under one protocol, at one rate of false alarms.
 
 What is compared: `subjects`. What is done: `protocol`, with the cases that stand beside each plant. How: `run`, with
-`recordings`, `calibration`, `branches` and `records`. The numbers: `cell`, `rows`, `ranking`. The report: `summary`, with
-`text`, `tables`, `figures`, `chapters`.
+`recordings`, `calibration`, `branches` and `records`. The numbers: `cell`, `metric_rows`, `ranking`. The report: `summary`,
+with `conclusions`, `result_tables`, `figures`, `chapters`.
 """
 
 from __future__ import annotations

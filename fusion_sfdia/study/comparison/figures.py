@@ -12,7 +12,7 @@ from matplotlib.figure import Figure as Drawing
 from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
 
-from fusion_sfdia.report.metrics import Estimate
+from fusion_sfdia.common.run_statistics import Estimate
 from fusion_sfdia.report.plots import entry, number_decades, panels
 from fusion_sfdia.study import detection_metrics as metrics
 from fusion_sfdia.study.comparison.cell import CellNumber, ComparisonCell

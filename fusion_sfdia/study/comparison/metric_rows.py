@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.report.metrics import NOTHING, Estimate, proportion, rate_over_runs
+from fusion_sfdia.common.run_statistics import NOTHING, Estimate, proportion, rate_over_runs
 from fusion_sfdia.report.results import Published, Row
 from fusion_sfdia.study.comparison.cell import CellNumber, ComparisonCell, widened, within
 from fusion_sfdia.study.comparison.protocol import GRADED, HEALTHY, PROCESS, PUBLISHED, sizes

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.random_streams import stream
-from fusion_sfdia.report.metrics import LEVEL, Estimate
+from fusion_sfdia.common.run_statistics import LEVEL, Estimate
 from fusion_sfdia.study.comparison.cell import ComparisonCell, mean, within
 from fusion_sfdia.study.comparison.protocol import HEALTHY, PROCESS
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from fusion_sfdia.common.run_statistics import Estimate
 from fusion_sfdia.report.content import Interval, ResultTable
-from fusion_sfdia.report.metrics import Estimate
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.study.comparison.cell import ComparisonCell
 from fusion_sfdia.study.comparison.figures import Cells, of_plant

@@ -16,7 +16,7 @@ from fusion_sfdia.benchmarks.speed.support.calls import Timed, timed, timed_rows
 from fusion_sfdia.benchmarks.speed.support.local_cluster import secure_cluster
 from fusion_sfdia.benchmarks.speed.support.processes import timed_process
 from fusion_sfdia.cli.main import main
-from fusion_sfdia.common.equation import argument_names
+from fusion_sfdia.derivatives.equation import argument_names
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.filters import ekf, ukf
 from fusion_sfdia.filters.gaussian import condition, dense

@@ -17,7 +17,7 @@ from fusion_sfdia.detectors import registry
 EQUATIONS = """
 import numpy as np
 from fusion_sfdia.derivatives.dual import dual
-from fusion_sfdia.common.equation import compiled, equation
+from fusion_sfdia.derivatives.equation import compiled, equation
 
 @equation
 def square(x, c):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fusion_sfdia.common.equation import complex_step_jacobian
+from fusion_sfdia.derivatives.equation import complex_step_jacobian
 from fusion_sfdia.derivatives.intervals.expression import record
 from fusion_sfdia.derivatives.intervals.interval import Interval
 from fusion_sfdia.derivatives.intervals.interval_kernels import KERNELS

@@ -10,7 +10,7 @@ import pytest
 from engine_runs import BOUND, DETECTOR, ENGINE, healthy, judge, recording_of
 from toy_plants import changed
 
-from fusion_sfdia.common.equation import argument_names
+from fusion_sfdia.derivatives.equation import argument_names
 from fusion_sfdia.detectors.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.detectors.detector import run
 from fusion_sfdia.diagnosis.simulate import Recording, simulate

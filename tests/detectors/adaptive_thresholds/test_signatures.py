@@ -20,7 +20,7 @@ from engine_signatures import (
     parse,
 )
 
-from fusion_sfdia.common.equation import argument_names
+from fusion_sfdia.derivatives.equation import argument_names
 from fusion_sfdia.detectors.adaptive_thresholds.signatures import (
     Agent,
     SignatureMatrix,

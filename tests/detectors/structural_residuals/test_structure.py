@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from structural_plants import PLANTS, plant_of
 
-from fusion_sfdia.common.equation import argument_names
+from fusion_sfdia.derivatives.equation import argument_names
 from fusion_sfdia.detectors.structural_residuals.selection import selected
 from fusion_sfdia.detectors.structural_residuals.structure import computable, residual_of, structural_model
 

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from rounding import rounding
 
-from fusion_sfdia.common.equation import complex_step_jacobian
+from fusion_sfdia.derivatives.equation import complex_step_jacobian
 from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.filters.estimators import Ensemble, Unscented
 from fusion_sfdia.learning.builders import PAPER_FILTERS

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rounding import rounding, rounding_of_solution
 from scipy.optimize import brentq
 
-from fusion_sfdia.common.equation import COMPLEX_STEP, complex_step_jacobian
+from fusion_sfdia.derivatives.equation import COMPLEX_STEP, complex_step_jacobian
 from fusion_sfdia.models.gas_pipeline import equations
 from fusion_sfdia.models.gas_pipeline.natural_gas import PRESSURES, TEMPERATURES
 from fusion_sfdia.models.gas_pipeline.physics import STENCIL, pipeline_parameters, pipeline_physics, steady_state

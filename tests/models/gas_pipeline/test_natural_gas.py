@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.equation import COMPLEX_STEP
+from fusion_sfdia.derivatives.equation import COMPLEX_STEP
 from fusion_sfdia.models.gas_pipeline import fit_natural_gas
 from fusion_sfdia.models.gas_pipeline.equations import PRESSURE_SCALE, gas, wave_speed_squared
 from fusion_sfdia.models.gas_pipeline.natural_gas import COMPOSITION, CP0, GAS_CONSTANT, PRESSURES, TEMPERATURES, natural_gas

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rounding import rounding
 from scipy.integrate import solve_ivp
 
-from fusion_sfdia.common.equation import complex_step_jacobian, difference_jacobian
+from fusion_sfdia.derivatives.equation import complex_step_jacobian, difference_jacobian
 from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.models.marine_engine import equations
 from fusion_sfdia.models.marine_engine.equilibrium import engine_variables, equilibrium

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from rounding import rounding
 
-from fusion_sfdia.common.equation import complex_step_jacobian
+from fusion_sfdia.derivatives.equation import complex_step_jacobian
 from fusion_sfdia.models.marine_engine import equations
 from fusion_sfdia.models.marine_engine.equilibrium import equilibrium
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from network_loop import rates
 
-from fusion_sfdia.common.equation import complex_step_jacobian
+from fusion_sfdia.derivatives.equation import complex_step_jacobian
 from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.models.power_network import equations
 from fusion_sfdia.models.power_network.area_model import area_model

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from made_up_cell import SETTINGS_HERE, cell, made_up
 
-from fusion_sfdia.report.metrics import Estimate
+from fusion_sfdia.common.run_statistics import Estimate
 from fusion_sfdia.study.comparison.chapters import extremes
 from fusion_sfdia.study.comparison.conclusions import MOST_LISTED, false_isolations
 from fusion_sfdia.study.comparison.opening import advised, decided, opening, percent

@@ -9,7 +9,7 @@ import pytest
 from made_up_cell import SETTINGS_HERE, TANKS, cell, made_up
 from numpy.typing import NDArray
 
-from fusion_sfdia.report.metrics import Estimate, proportion, rate_over_runs
+from fusion_sfdia.common.run_statistics import Estimate, proportion, rate_over_runs
 from fusion_sfdia.study.comparison import metric_rows as rows
 from fusion_sfdia.study.comparison.cell import ComparisonCell, widened, within
 from fusion_sfdia.study.comparison.metric_rows import confusion, rows_of_cell, share_right

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from made_up_cell import SETTINGS_HERE, cell
 
-from fusion_sfdia.report.metrics import Estimate
+from fusion_sfdia.common.run_statistics import Estimate
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.study.comparison import result_tables as tables
 from fusion_sfdia.study.comparison.ranking import RankedDetector

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from fusion_sfdia.common.equation import (
+from fusion_sfdia.derivatives.equation import (
     argument_names,
     batch_rows,
     compiled,

@@ -15,8 +15,8 @@ from fusion_sfdia.detectors.detector import Decision, run
 from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.diagnosis.simulate import simulate
-from fusion_sfdia.logs.as_log import as_log
 from fusion_sfdia.logs.check import check_log
+from fusion_sfdia.logs.log_forms import as_log
 from fusion_sfdia.models.marine_engine.plant import marine_engine
 from fusion_sfdia.plant.log import Log, one_run
 

@@ -9,7 +9,7 @@ from scipy.stats import t as student
 from sklearn.metrics import roc_auc_score
 from toy_plants import chain, tanks
 
-from fusion_sfdia.report.metrics import (
+from fusion_sfdia.common.run_statistics import (
     NOTHING,
     bootstrap_over_runs,
     mean_over_runs,
