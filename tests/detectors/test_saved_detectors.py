@@ -162,7 +162,7 @@ def test_a_detector_of_a_file_is_loaded_where_its_class_is_stated(tmp_path: Path
 def test_names_in_place_of_objects_and_a_state_in_place_of_a_detector_are_one_clear_error(tmp_path: Path) -> None:
     path = tmp_path / "mine.npz"
     save_detector(path, Mine(PLANT))
-    with pytest.raises(ValueError, match=r"plant is 'two-tanks'; expected a Plant, such as registry.plant\('two-tanks'\)"):
+    with pytest.raises(ValueError, match=r"plant is 'two-tanks'; expected a Plant, such as fusion_sfdia.plants.two_tanks"):
         load_detector(path, "two-tanks")  # type: ignore[arg-type]
     for wrong in ("kf-chi2", Mine, PLANT):
         with pytest.raises(

@@ -133,7 +133,7 @@ def lines_of(rows: list[Any]) -> list[dict[str, Any]]:
     saved = SavedWatch(Watch(detector(), at_sample=True), found.append, samples=True)
     for row in rows:
         saved.update(*row)
-    return [json.loads(line) for line in found]
+    return [without_stamps(line) for line in found]
 
 
 def without_stamps(line: str) -> dict[str, Any]:
