@@ -166,7 +166,7 @@ def test_names_in_place_of_objects_and_a_state_in_place_of_a_detector_are_one_cl
         load_detector(path, "two-tanks")  # type: ignore[arg-type]
     for wrong in ("kf-chi2", Mine, PLANT):
         with pytest.raises(
-            ValueError, match=r"detector is .*; expected a Detector, such as registry.detector\('kf-chi2', plant\)"
+            ValueError, match=r"detector is .*; expected a Detector, such as fusion_sfdia.detector\('kf-chi2', plant\)"
         ):
             save_detector(path, wrong)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="detector is 'kf-chi2'; expected a Detector"):
