@@ -87,7 +87,7 @@ def test_a_foreign_file_is_one_clear_error(tmp_path: Path) -> None:
     np.savez(pickled, fingerprint=np.array([{"a": 1}], dtype=object))
     empty.touch()
     for path in (text, array, archive, pickled, empty):
-        with pytest.raises(ValueError, match=f"{path.name} is not a saved detector state .*; write one with save_state"):
+        with pytest.raises(ValueError, match=f"{path.name} is not a saved detector state .*; write one with detectors.save_state"):
             load_state(path, detector)
     with pytest.raises(FileNotFoundError):
         load_state(tmp_path / "missing.npz", detector)
@@ -136,7 +136,7 @@ def test_every_flipped_bit_and_every_cut_of_a_state_is_one_clear_error(tmp_path:
     whole, broken = tmp_path / "state.npz", tmp_path / "broken.npz"
     save_state(whole, detector, state_of(detector))
     content = whole.read_bytes()
-    cure = r"broken\.npz is not a saved detector state .*damaged, cut or of another kind\); write one with save_state"
+    cure = r"broken\.npz is not a saved detector state .*damaged, cut or of another kind\); write one with detectors.save_state"
     flipped = np.random.default_rng(0).permutation(8 * len(content))[:2000]
     damaged = [content[:length] for length in range(len(content))] + [content + b"\0"]
     damaged += [content[: k // 8] + bytes([content[k // 8] ^ 1 << k % 8]) + content[k // 8 + 1 :] for k in flipped]
