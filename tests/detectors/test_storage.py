@@ -87,7 +87,9 @@ def test_a_foreign_file_is_one_clear_error(tmp_path: Path) -> None:
     np.savez(pickled, fingerprint=np.array([{"a": 1}], dtype=object))
     empty.touch()
     for path in (text, array, archive, pickled, empty):
-        with pytest.raises(ValueError, match=f"{path.name} is not a saved detector state .*; write one with detectors.save_state"):
+        with pytest.raises(
+            ValueError, match=f"{path.name} is not a saved detector state .*; write one with detectors.save_state"
+        ):
             load_state(path, detector)
     with pytest.raises(FileNotFoundError):
         load_state(tmp_path / "missing.npz", detector)

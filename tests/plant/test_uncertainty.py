@@ -60,7 +60,10 @@ def test_a_disturbance_states_its_size_and_time(wrong: dict[str, Any], message: 
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"parameters": (Parameter("a"),)}, "without the model at other values; give step and output, or use fusion_sfdia.plants.secants"),
+        (
+            {"parameters": (Parameter("a"),)},
+            "without the model at other values; give step and output, or use fusion_sfdia.plants.secants",
+        ),
         ({"parameters": (Parameter("a"), Parameter("a")), "step": still}, "the names a occur more than once"),
         ({"parameters": ("a",), "step": still}, "parameters have 'a'; expected objects of Parameter"),
         ({"step": 1.0}, "step at other values of the parameters is 1.0; expected a function or None"),
