@@ -1,7 +1,7 @@
 """Writes robustness.csv and when-the-model-is-wrong.md: python docs/results/robustness.py METRICS...
 
-METRICS: metrics.csv of runs of the scenario robustness; of a detector on a plant in several of them the first counts. The page
-holds what robustness.csv holds; a test renders it again.
+METRICS: metrics.csv of runs of the scenario robustness; of a detector on a plant in several of them the first counts. Without
+METRICS the page is written again from robustness.csv; a test renders it again.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ ABOUT = """# When the model is wrong
 `fusion-sfdia run robustness`: no plant is as its model and its sensors are stated. The tables show what every detector, as it
 is shipped, makes of noise of other kinds, starts away from rest, model errors, and one or two causes at a time, live from the
 first row: whether it isolates healthy sensors, whether its verdict is right, undecided or wrong, and how far its confidence
-can be believed. Three of the plants are drawn at random, and no setting was chosen on them. Events of detectors other than
-`robust-glr` were counted while an event of one or two far readings still had its full confidence, and a late sensor was a
-fault."""
+can be believed. Three of the plants are drawn at random, and no setting was chosen on them. Rows of `fusing-*` are of the
+printed feedback. Events of detectors other than `robust-glr` were counted while an event of one or two far readings still had
+its full confidence, and a late sensor was a fault."""
 
 IMPOSSIBLE = """## What no detector can tell
 
@@ -138,8 +138,8 @@ def trust(rows: Sequence[Row]) -> str:
 
 
 def main(paths: Sequence[Path]) -> None:
-    """Write both files."""
-    rows = load(paths)
+    """Write both files, without paths the page alone."""
+    rows = load(paths) if paths else read_rows(NUMBERS)
     write_rows(NUMBERS, rows)
     PAGE.write_text(render(rows), encoding="utf-8")
 
