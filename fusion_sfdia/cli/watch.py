@@ -81,7 +81,8 @@ def add_watch(commands: Any) -> None:
         type=decimal,
         default=60.0,
         metavar="S",
-        help="seconds between two status lines on standard error, topic and node; 0: none (default: 60)",
+        help="seconds between two status lines on standard error, topic and node; 0: none, and topics and nodes then do not "
+        "show that rows have stopped (default: 60)",
     )
     one.add_argument(
         "--silent-after",
@@ -122,7 +123,9 @@ def _webhook(chosen: argparse.Namespace) -> AbstractContextManager[Webhook | Non
         if chosen.webhook is None:
             raise ValueError("--webhook-token needs --webhook, to which the token is sent; give both or neither")
         if not (token := os.environ.get(variable)):
-            raise ValueError(f"--webhook-token is {variable!r}, which the environment does not have; set it to the token")
+            raise ValueError(
+                "--webhook-token names no variable of the environment; give the variable's name, and set it to the token"
+            )
     if chosen.webhook is None:
         return nullcontext()
     return Webhook(chosen.webhook, Remarks(_say), token=token, allow_plain=chosen.allow_plain_password)

@@ -75,6 +75,7 @@ def sensor_health(
             if not doubtful.any():
                 break
             doubtful &= ~_judged(before)
+        doubtful |= decision.absurd
         if decision.suspect is not None:
             doubtful |= decision.suspect[: doubtful.size]
         if verdict is Verdict.UNDECIDED:

@@ -154,7 +154,13 @@ class Diagnosis:
 
     def sentence(self, event: Event) -> str:
         """An event in a sentence for people, and what to do, see `sentences`."""
-        return sentence(event, self.words, self.clock)
+        return sentence(event, self.words, self.clock, ended=self._seen_to_end(event))
+
+    def _seen_to_end(self, event: Event) -> bool:
+        """Whether the rows after a closed event were judged: no gap after which the detector starts anew, no divergence."""
+        after, diverged = int(np.searchsorted(self.t, event.end, side="right")), self.decisions.diverged
+        lost = np.ndim(diverged) > 0 and after < self.t.size and bool(diverged[after])
+        return not lost and not any(gap.reset and gap.start <= event.end < gap.end for gap in self.gaps)
 
     @property
     def caution(self) -> str:

@@ -31,21 +31,26 @@ ORDER = {"sensor": 0, "other": 0, "process": 1, "outside": 2, "undecided": 3}
 COUNTED = {
     "sensor": ("faulty sensor", "faulty sensors"),
     "other": ("other fault", "other faults"),
-    "process": ("change of the process", "changes of the process"),
-    "outside": ("operation that was not learnt", "operations that were not learnt"),
-    "undecided": ("open question", "open questions"),
+    "process": ("process change", "process changes"),
+    "outside": ("kind of unknown operation", "kinds of unknown operation"),
+    "undecided": ("unresolved alarm", "unresolved alarms"),
     "possible": ("possible fault", "possible faults"),
 }
 
+AGREES, PERSISTS = "it agrees with the model again", "the error persists"
 # kind of a sensor's fault: what it did, what it has done until now, and how that is said to be over or not
 FAULTS = {
-    "bias": ("read {size}", "has read {size}", "it is back", "it is still off"),
-    "drift": ("drifted until it read {size}", "has drifted until it read {size}", "it is back", "it is still off"),
-    "freeze": ("was stuck at one value", "has been stuck at one value", "it moves again", "it is still stuck"),
+    "bias": ("read {size}", "has read {size}", AGREES, PERSISTS),
+    "drift": (
+        "drifted until it read {size}",
+        "has drifted until it read {size}",
+        "it agrees with the model again",
+        "the error persists",
+    ),
+    "freeze": ("was stuck at one value", "has been stuck at one value", "its reading changes again", "it is still stuck"),
     "noise": ("was noisy{by}", "has been noisy{by}", "it is quiet again", "it is still noisy"),
-    "spikes": ("had spikes{of}", "has had spikes{of}", "they have stopped", "they go on"),
-    "dropout": ("gave no readings", "has given no readings", "it reads again", "it is still silent"),
-    "": ("read {size}", "has read {size}", "it is back", "it is still off"),
+    "spikes": ("had spikes{of}", "has had spikes{of}", "they have stopped", "they continue"),
+    "dropout": ("gave no readings", "has given no readings", "its readings are back", "it is still silent"),
 }
 CHECKS = {
     "bias": "Check the sensor's wiring or calibration.",
@@ -54,13 +59,12 @@ CHECKS = {
     "noise": "Check the sensor's connectors and shielding.",
     "spikes": "Check the sensor's connectors and shielding.",
     "dropout": "Check the sensor's power, wiring and data link.",
-    "": "Check the sensor's wiring or calibration.",
 }
 OF_PROCESS = {
     "parameter": "Check this part of the plant.",
-    "input": "Check the actuator, its feedback, and for leaks on the way.",
-    "state": "Check for leaks, blockages and supplies that the model leaves out.",
-    "disturbance": "Check what may disturb the plant there.",
+    "input": "Check the actuator and its feedback, and look for leaks in between.",
+    "state": "Check for leaks, blockages and flows that are not in the model.",
+    "disturbance": "Look for disturbances at this part of the plant.",
 }
 
 
@@ -80,11 +84,11 @@ class Wording(NamedTuple):
     high: float = math.inf
 
     def __str__(self) -> str:
-        """Within a sentence: "mixed-air temperature TT04", "sensor l1", "the balance of level_1"."""
+        """Within a sentence: "mixed-air temperature TT04", "sensor l1", "the recorded inflow"."""
         meaning = self.meaning if self.meaning[1:2].isupper() else self.meaning[:1].lower() + self.meaning[1:]
         if self.part == "sensor":
             return f"{meaning or 'sensor'} {self.name}"
-        return {"input": "the input ", "state": "the balance of "}.get(self.part, "") + (meaning or self.name)
+        return {"input": "the recorded ", "state": "an unmodelled effect on "}.get(self.part, "") + (meaning or self.name)
 
 
 Words = Mapping[str, Wording]
@@ -112,11 +116,12 @@ def words_of(plant: Plant, tested: Iterable[ProcessHypothesis]) -> dict[str, Wor
     return found
 
 
-def sentence(e: Event, words: Words, clock: Clock) -> str:
+def sentence(e: Event, words: Words, clock: Clock, *, ended: bool = True) -> str:
     """An event in a sentence, and one on what to do: "Mixed-air temperature TT04 read 1.5 K (1.3 to 1.7) too high from
-    2026-03-01 02:07 to 03:59; it is back. Check the sensor's wiring or calibration."
+    2026-03-01 02:07 to 03:59; it agrees with the model again. Check the sensor's wiring or calibration."
 
-    A size that cannot be, beyond the limits that the plant states, or that rounds to none, is left out.
+    ended: whether an event that is closed has been seen to end, rather than the rows or the detector. An impossible size,
+    beyond the limits that the plant states, or one that rounds to none, is left out.
     """
     when = f"since {clock.wall(e.start)}" if e.open else clock.span(e.start, e.end)
     if isinstance(e, UndecidedEvent):
@@ -126,12 +131,17 @@ def sentence(e: Event, words: Words, clock: Clock) -> str:
     if isinstance(e, UnnamedEvent):
         fit = "has not fitted" if e.open else "did not fit"
         return (
-            f"The process {fit} the model {when}; no single sensor and no single cause explains the readings. Check how the "
-            "plant is run, and its inputs."
+            f"The process {fit} the model {when}; no single sensor or cause explains the readings. Check how the plant is "
+            "being run, and its inputs."
+        )
+    if e.kind == "outside":
+        return (
+            f"Operation {when} {'has been' if e.open else 'was'} unlike any healthy log; readings that look wrong may be "
+            "right. Check whether it was intended; if so, learn from it."
         )
     if e.kind != "sensor" or isinstance(e, OtherEvent):
         return f"{_first(e.told(clock))}."
-    return _sensor(e, words.get(e.hypothesis) or Wording("sensor", e.hypothesis), words, when)
+    return _sensor(e, words.get(e.hypothesis) or Wording("sensor", e.hypothesis), words, when, ended)
 
 
 def by_importance(events: Sequence[Event], passing: Sequence[Event] = ()) -> list[Event]:
@@ -148,7 +158,7 @@ def by_importance(events: Sequence[Event], passing: Sequence[Event] = ()) -> lis
 
 
 def counted(events: Sequence[Event]) -> str:
-    """How many of each kind, each hypothesis once: "2 faulty sensors, 1 change of the process, 1 open question"."""
+    """How many of each kind, each hypothesis once: "2 faulty sensors, 1 process change, 1 unresolved alarm"."""
     names: dict[str, set[str]] = {}
     for e in by_importance(events):
         names.setdefault("possible" if e.confidence < EVEN else e.kind, set()).add(e.hypothesis)
@@ -177,15 +187,22 @@ def others_of(e: Event, words: Words) -> list[str]:
     return [str(words.get(name) or name) for name in e.alternatives]
 
 
-def _sensor(e: Event, w: Wording, words: Words, when: str) -> str:
-    closed, acts, over, stays = FAULTS.get(e.fault, FAULTS[""])
+def _sensor(e: Event, w: Wording, words: Words, when: str, ended: bool) -> str:
+    closed, acts, over, stays = FAULTS.get(e.fault, FAULTS["bias"])
     size, side = size_of(e, words), "too high" if e.size > 0 else "too low"
-    off = f"{size} {side}" if size else "wrong"
-    did = (acts if e.open else closed).format(size=off, by=f" (by {size})" if size else "", of=f" of {size}" if size else "")
-    doubt = "perhaps " if e.confidence <= EVEN else "probably " if e.confidence < CERTAIN else ""
+    off = f"{size} {side}"
+    if not size and e.fault in ("", "bias"):
+        closed, acts = "gave wrong readings", "has given wrong readings"
+    elif not size and e.fault == "drift":
+        closed, acts = "drifted", "has drifted"
+    did = (acts if e.open else closed).format(
+        size=off, by=f", by a standard deviation of {size}," if size else "", of=f" of {size}" if size else ""
+    )
+    doubt = "perhaps " if e.confidence < EVEN else "probably " if e.confidence < CERTAIN else ""
     instead = f" It may be {_either(others_of(e, words))} instead." if doubt and e.alternatives else ""
-    check = _stop(w.check) or CHECKS.get(e.fault, CHECKS[""])
-    return f"{_first(f'{doubt}{w}')} {did} {when}; {stays if e.open else over}.{instead} {check}"
+    check = _stop(w.check) or CHECKS.get(e.fault, CHECKS["bias"])
+    now = stays if e.open else over if ended else "whether it is over is not known"
+    return f"{_first(str(w))} {doubt}{did} {when}; {now}.{instead} {check}"
 
 
 def _process(e: ProcessEvent, w: Wording, when: str) -> str:
@@ -193,28 +210,28 @@ def _process(e: ProcessEvent, w: Wording, when: str) -> str:
     been, name = "has been" if e.open else "was", w.meaning or w.name
     name = f"{name} ({w.name})" if w.part == "input" and w.meaning else name
     if w.part == "input":
-        said = (
-            f"{name}: the plant {'has got' if e.open else 'got'} {size} {'less' if e.size < 0 else 'more'} than the log states"
-        )
-        said = said if size else f"{name}: the plant {'has not got' if e.open else 'did not get'} what the log states"
+        differs = f"{been} {size} {side} the recorded one" if size else f"{been} different from the recorded one"
+        said = f"{name}: the actual value {differs}"
     elif w.part in ("state", "disturbance"):
-        moved = "lowers" if e.size < 0 else "raises"
-        moved = moved if e.open else f"{moved[:-1]}d"
-        said = f"something that the model leaves out {moved} {name}" if w.part == "state" else f"{name} {been} at work"
+        moved = f"{'has ' if e.open else ''}{'lowered' if e.size < 0 else 'raised'}"
+        acted = f"{name} {'has acted' if e.open else 'acted'} on the plant"
+        said = f"something that the model leaves out {moved} {name}" if w.part == "state" else acted
+    elif size and e.nominal == 0:
+        said = f"{name} {been} {size}" if e.size > 0 else f"{name} {been} different from the model"
     else:
         said = f"{name} {been} {size} {side} its value in the model" if size else f"{name} {been} different from the model"
-    return (
-        f"{_first(said)} {when}; no sensor explains this. {_stop(w.check) or OF_PROCESS.get(w.part, OF_PROCESS['parameter'])}"
-    )
+    check = _stop(w.check) or OF_PROCESS.get(w.part, OF_PROCESS["parameter"])
+    return f"{_first(said)} {when}; no single sensor fault explains this. {check}"
 
 
 def _undecided(e: UndecidedEvent, words: Words, when: str) -> str:
     names = [str(words.get(name) or name) for name in e.suspects]
     if len(names) == 1:
-        return f"Perhaps {names[0]} {'is' if e.open else 'was'} wrong {when}; too little speaks for it. Check it on site."
-    do = "do not tell" if e.open else "did not tell"
-    check = "Check them on site, the first first." if e.open else "Check them on site if it comes again."
-    return f"The readings {do} {when} whether {_either(names)} {'is' if e.open else 'was'} wrong. {check}"
+        may = "may have been" if e.open else "may briefly have been"
+        return f"{_first(names[0])} {may} wrong {when}; the evidence is weak. Check it on site."
+    do = "have not shown" if e.open else "did not show"
+    check = "Check them on site, in this order." if e.open else "Check them on site if it happens again."
+    return f"The readings {do} {when} whether {_either(names)} {'is' if e.open else 'was'} at fault. {check}"
 
 
 def _difference(e: ProcessEvent, w: Wording) -> str:
@@ -243,7 +260,7 @@ def _measured(value: float, low: float, high: float, unit: str) -> str:
 def _rounded(value: float, places: int) -> str:
     """A number to that many decimal places, with a power of ten where it is very small or large."""
     if -6 < places < 5 or value == 0:
-        return f"{round(value, places):.{max(places, 0)}f}"
+        return f"{round(value, places) + 0.0:.{max(places, 0)}f}"
     return f"{value:.{max(0, places + math.floor(math.log10(abs(value))))}e}"
 
 

@@ -65,7 +65,8 @@ class Findings:
             found = self._told(t, [(number, replace(e, open=False)) for number, e in events], health)
             found = [*self._ended(t, self.look, {number for number, _ in events}), *found]
             self.look = self.look.anew()
-        return [*found, *self.changes.reset(t, reason)]
+        changes = [*found, *self.changes.reset(t, reason)]
+        return [c if c.event is None else c._replace(reason=reason) for c in changes]
 
     def last(self, t: float, clock: Clock) -> list[Change]:
         """What the second look would say if no row came any more; all stays as it is."""

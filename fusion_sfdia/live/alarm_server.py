@@ -22,6 +22,7 @@ from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.diagnosis.alarms import BLIND, Raised, cause_of
 from fusion_sfdia.diagnosis.changes import Change
 from fusion_sfdia.diagnosis.device_health import DeviceHealth
+from fusion_sfdia.diagnosis.sentences import Words, sentence, wordings
 from fusion_sfdia.live.opcua import asyncua
 from fusion_sfdia.live.saving import SavedWatch
 from fusion_sfdia.live.security import SCHEMES, address
@@ -69,11 +70,11 @@ class Condition:
 
 
 class AlarmServer:
-    """The server; everything but the constructor runs in one event loop. clock: of the rows, when it is called."""
+    """The server; everything but the constructor runs in one event loop. clock: of the rows. words: of sentences."""
 
-    def __init__(self, plant: Plant, url: str, clock: Callable[[], Clock]) -> None:
+    def __init__(self, plant: Plant, url: str, clock: Callable[[], Clock], words: Words) -> None:
         address("--alarms", url, SCHEMES["opcua"])
-        self.plant, self.url, self.clock = plant, url, clock
+        self.plant, self.url, self.clock, self.words = plant, url, clock, words
         self.ua, self.events = asyncua().ua, import_module("asyncua.common.event_objects")
         self.conditions: dict[str, Condition] = {}  # by cause
         self.health: dict[str, Any] = {}  # nodes by sensor
@@ -122,7 +123,7 @@ class AlarmServer:
             if alarm.open:
                 condition = await self._condition(cause)
                 condition.active, condition.acknowledged = True, False
-                self._describe(condition, alarm.state, f"{cause}: stands since before the watch was started")
+                self._describe(condition, alarm.state, f"{cause}: active since before the watch was started")
                 await self._send(condition)
         await server.start()
 
@@ -169,7 +170,9 @@ class AlarmServer:
                 return
             condition = await self._condition(cause)
             stood, before = condition.active, condition.severity
-            text = change.reason if change.event is None else change.event.told(self.clock())
+            text = change.reason
+            if change.event is not None:
+                text = sentence(change.event, self.words, self.clock(), ended=not change.reason)
             self._describe(condition, change.device_health, text)
             if change.alarm.active:
                 condition.active = True
@@ -308,7 +311,7 @@ def alarms_served(url: str, saved: SavedWatch) -> Iterator[AlarmServer]:
     OSError where the address cannot be taken, ValueError where it is none, MissingPackageError without asyncua.
     """
     watch, say = saved.watch, saved.watch.refused
-    found = AlarmServer(watch.detector.plant, url, lambda: watch.clock)
+    found = AlarmServer(watch.detector.plant, url, lambda: watch.clock, wordings(watch.detector))
     saved.status = saved.status or Status(watch)
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever, daemon=True)

@@ -34,7 +34,7 @@ def change_line(change: Change, clock: Clock, words: Words) -> str:
     found |= {} if change.device_health is None else {"device_health": change.device_health.name}
     if change.event is None:
         return _json({**found, "reason": change.reason})
-    fields = change.event.fields(clock) | {"text": sentence(change.event, words, clock)}
+    fields = change.event.fields(clock) | {"text": sentence(change.event, words, clock, ended=not change.reason)}
     known = {name: v for name, v in fields.items() if name == "size" or (v not in ("", (), None) and v == v)}
     return _json({**found, **known})
 
@@ -138,8 +138,8 @@ def sensor_verdicts(plant: Plant, sample: Sample) -> list[str]:
     d, count = sample.decision, len(plant.sensors)
     suspect = np.zeros(count, bool) if d.suspect is None else d.suspect[:count]
     blind = sample.verdict is Verdict.BLIND
-    unsure = blind or bool(far_off(d)) or bool(np.any(d.capped))
-    known = np.isfinite(d.residual) & ~np.isnan(d.threshold)
+    unsure = blind or sample.verdict is Verdict.OUTSIDE or bool(far_off(d)) or bool(np.any(d.capped))
+    known = np.isfinite(d.residual) & np.isfinite(d.threshold)
     found = np.where(known & (not unsure), "healthy", "no verdict")
     found = np.where(suspect, "suspected", found)
     found = np.where(np.isnan(sample.y), "missing", found)

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fusion_sfdia.common.errors import MissingPackageError
+from fusion_sfdia.diagnosis.device_health import DeviceHealth
 from fusion_sfdia.diagnosis.watch import Sample
 from fusion_sfdia.live import security
 from fusion_sfdia.live.address_tables import units_of
@@ -65,6 +66,7 @@ def watch_broker(saved: SavedWatch, url: str, topics: Topics, *, allow_plain_pas
         while True:
             bridge.take(bridge.next())
     finally:
+        bridge.unvouched()
         if topics.status is not None and bridge.client.is_connected():
             bridge.client.publish(topics.status, "gone", topics.qos, retain=True).wait_for_publish(1.0)
         bridge.client.disconnect()
@@ -113,7 +115,7 @@ class MqttBridge:
         saved.status = saved.status or Status(saved.watch)
         saved.status.listeners.append(self._report)
         if (events := topics.events) is not None:
-            saved.outlets.append(lambda change, line: client.publish(events, line, topics.qos))  # paho keeps it until connected
+            saved.outlets.append(lambda change, line: self._publish_line(events, line))
         client.on_connect, client.on_connect_fail = self._connected, lambda *_: self._down(self._failure())
         client.on_disconnect = lambda c, u, flags, reason, p: self._down(str(reason)) if reason.is_failure else None
         client.on_subscribe, client.on_message = self._subscribed, self._message
@@ -181,6 +183,13 @@ class MqttBridge:
             return str(error)
         return "refused or not reachable"
 
+    def _publish_line(self, topic: str, line: str) -> None:
+        """A change, which the client keeps until it is connected if qos is 1 or 2, and where there is room."""
+        mqtt = paho()
+        lost = (mqtt.MQTT_ERR_QUEUE_SIZE,) if self.topics.qos else (mqtt.MQTT_ERR_NO_CONN,)
+        if self.client.publish(topic, line, self.topics.qos).rc in lost:
+            self._remark(f"{self.url}: a change was not published")
+
     def _report(self, report: Report) -> None:
         """Publish the status and the health of sensors, which stay with the broker until others come, or the will, "gone"."""
         if not self.client.is_connected():
@@ -189,6 +198,12 @@ class MqttBridge:
             self._keep(topic, health.name, report.last_row or None)
         if self.topics.status is not None:
             self.client.publish(self.topics.status, report.json, self.topics.qos, retain=True)
+
+    def unvouched(self) -> None:
+        """At the end, the health of all sensors as what it is without a watch: to be checked."""
+        if self.saved.status is not None:
+            report = self.saved.status.report()
+            self._report(report._replace(device_health=dict.fromkeys(report.device_health, DeviceHealth.CHECK_FUNCTION)))
 
     def _down(self, why: str) -> None:
         if self.is_up:

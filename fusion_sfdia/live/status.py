@@ -118,15 +118,16 @@ class Status:
         """Rows that were diagnosed."""
         if not samples:
             return
+        before = self.report()
         self.arrived, clock, sample = self.now(), self.watch.clock, samples[-1]
-        before = self.conclusion.verdict, self.health
         self.conclusion, self.health, self.last = sample.conclusion, sample.device_health, clock.at(sample.t)
         self.rows += len(samples)
         self.missing.extend(float(np.mean(np.isnan(s.y))) for s in samples)
         if clock.start is not None and clock.start.tzinfo is not None:
             self.stamp = clock.start.timestamp() + sample.t
             self.lag = self.arrived.timestamp() - self.stamp
-        if (self.conclusion.verdict, self.health) != before:
+        now = self.report()
+        if (now.conclusion.verdict, now.device_health) != (before.conclusion.verdict, before.device_health):
             self.beat()
 
     def report(self) -> Report:

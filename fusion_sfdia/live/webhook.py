@@ -67,6 +67,7 @@ class Webhook:
         self.waiting: deque[str] = deque()
         self.news = threading.Condition()
         self.lost, self.is_up, self.under_way, self.ending, self.given_up = 0, True, False, False, False
+        self.why = ""  # the last change was lost
         self.thread = threading.Thread(target=self._run, daemon=True)
 
     def post(self, line: str) -> None:
@@ -128,6 +129,7 @@ class Webhook:
             if not again:
                 with self.news:
                     self.lost += not self.given_up  # then it is counted already
+                    self.why = f" ({why})"
                 return
             if self.is_up:
                 self.say(f"webhook {self.name}: {why}; tried again after {FIRST:g} s to {LONGEST:g} s")
@@ -137,9 +139,9 @@ class Webhook:
 
     def _say_lost(self) -> None:
         with self.news:
-            lost, self.lost = self.lost, 0
+            (lost, self.lost), (why, self.why) = (self.lost, 0), (self.why, "")
         if lost:
-            self.say(f"webhook {self.name}: {lost} changes were not taken and are lost")
+            self.say(f"webhook {self.name}: {lost} change{'s were' if lost > 1 else ' was'} not taken and lost{why}")
 
     def _pause(self, seconds: float) -> None:
         """Wait, until the end begins, or is over where it has begun."""
@@ -153,6 +155,7 @@ def _parts(url: str) -> tuple[str, str, str | None]:
     try:
         found = urlsplit(url)
         host, port = found.hostname, found.port
+        (host or "").encode("idna")  # as the request will be
     except ValueError:
         host, port, found = None, None, urlsplit("")
     if found.scheme not in ("http", "https") or not host or found.fragment or not all("!" <= c <= "~" for c in url):

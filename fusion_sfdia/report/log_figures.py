@@ -140,7 +140,7 @@ def overview(plant: Plant, y: Array, found: Diagnosis) -> Figure:
     at.label_on(axes)
     axes.grid(visible=False)
     bar = figure.colorbar(mesh, ax=axes, location="top", shrink=0.6, aspect=40, pad=0.01)
-    bar.set_label("reading less prediction, in standard deviations (6 and more: darkest)", fontsize=8)
+    bar.set_label("distance from the prediction, in standard deviations (darkest: 6 or more)", fontsize=8)
     return figure
 
 

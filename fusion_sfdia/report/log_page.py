@@ -134,16 +134,18 @@ def _title(found: Diagnosis, own: Sequence[Event]) -> str:
 
 def _caption(own: Sequence[Event]) -> str:
     """What the picture shows beside what its legend states."""
-    which = "Above the readings" if own[0].kind == "sensor" else "Above the readings that are furthest off meanwhile"
+    which = "the readings" if own[0].kind == "sensor" else "the readings furthest from what is expected"
     when = " at the first of these times" if len(own) > 1 else ""
-    return f"{which}{when}, in the middle how far they are from what is expected (grey is usual), below what was found."
+    return (
+        f"Top: {which}{when}. Middle: their difference from what is expected (grey: the usual range). Bottom: what was found."
+    )
 
 
 def _finding(found: Diagnosis, own: Sequence[Event], most: int) -> dict[str, Any]:
     """A finding as texts; own: its events, the most important first, of which `most` have a row."""
     first, many = own[0], len(own) > MOST_SENTENCES
     start, end = min(e.start for e in own), max(e.end for e in own)
-    more = f"In all {len(own)} times {found.clock.span(start, end)}: each is among the numbers of this finding." if many else ""
+    more = f"{len(own)} occurrences in all, {found.clock.span(start, end)}; see Numbers." if many else ""
     return {
         "kind": first.kind,
         "word": "possible" if first.confidence < EVEN else WORDS[first.kind],

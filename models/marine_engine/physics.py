@@ -41,7 +41,12 @@ def engine_physics(c: EngineParameters, slip: str, x0: Array, load: float) -> Ph
         states=tuple(Signal(n, UNIT[n[0]], float(nominal[n]), *width[n[0]]) for n in STATES),
         inputs=(
             Signal(
-                "fuel_setting", "1", load, *LOADS, meaning="setting of the fuel rack", check="Check rack, pump and injectors."
+                "fuel_setting",
+                "1",
+                load,
+                *LOADS,
+                meaning="setting of the fuel rack",
+                check="Check the fuel rack, its position feedback, the injection pump and the injectors.",
             ),
         ),
         algebraic=tuple(Signal(n, UNIT[n[0]], float(nominal[n]), 0.0) for n in ALGEBRAIC),

@@ -80,28 +80,28 @@ SENSORS = {  # sensor: variable, in the order of K24 (29), (34), (44), (50)
     "S(4){3}": "T_compressor",
 }
 MEANING = {  # of the variables that are measured, and of the parameters that are not known
-    "fuel": "fuel injected in a cycle",
-    "p_cylinder": "pressure in the cylinder",
-    "T_cylinder": "temperature in the cylinder",
-    "torque": "torque of the engine",
-    "p_receiver": "pressure in the exhaust receiver",
-    "T_receiver": "temperature in the exhaust receiver",
-    "T_turbine": "temperature behind the turbine",
+    "fuel": "fuel injected per cycle",
+    "p_cylinder": "cylinder pressure",
+    "T_cylinder": "cylinder temperature",
+    "torque": "engine torque",
+    "p_receiver": "exhaust receiver pressure",
+    "T_receiver": "exhaust receiver temperature",
+    "T_turbine": "temperature after the turbine",
     "p_charge": "charge-air pressure",
     "T_charge": "charge-air temperature",
-    "T_compressor": "temperature behind the compressor",
+    "T_compressor": "temperature after the compressor",
     "load": "load of the propeller",
-    "heat": "heat of the fuel",
+    "heat": "heating value of the fuel",
     "turbine_area": "effective area of the turbine",
     "turbocharger_efficiency": "efficiency of the turbocharger",
     "T_cooler": "temperature of the charge-air cooler",
 }
 CHECK = {  # of these parameters
-    "load": "Check the hull and the propeller for fouling, and the weather of that time.",
-    "heat": "Check the fuel that was bunkered.",
-    "turbine_area": "Check the turbine's nozzle ring for deposits.",
-    "turbocharger_efficiency": "Check the compressor for fouling, and wash it.",
-    "T_cooler": "Check the cooler's water side and its valves.",
+    "load": "Check the hull and the propeller for fouling, and the weather at that time.",
+    "heat": "Check the bunker delivery note, and have a fuel sample analysed.",
+    "turbine_area": "Check the turbine's nozzle ring for deposits and damage.",
+    "turbocharger_efficiency": "Check the compressor for fouling; wash it if it is fouled.",
+    "T_cooler": "Check the charge-air cooler's water flow, water temperature and valves.",
 }
 PICKS = np.array([(*STATES, *ALGEBRAIC).index(v) for v in SENSORS.values()])
 SUBSYSTEMS = {  # variables of each

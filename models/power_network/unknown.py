@@ -36,6 +36,13 @@ LOAD = 0.02  # per unit: standard deviation of what is not metered of an area's 
 REFERENCE = 0.005  # per unit, of how units follow their set points; our choice
 
 
+MEANING = {  # of each kind of parameter, and what to check
+    "slope": ("stiffness", "Check which lines of the tie are in service."),
+    "inertia": ("inertia", "Check which units are on line."),
+    "droop": ("droop", "Check the governor settings, and which units are on governor control."),
+}
+
+
 def unknown_parameters(c: NetworkParameters) -> tuple[Parameter, ...]:
     """Slopes of the ties, then inertias, then droops of the areas."""
     names = c.topology.names
@@ -45,12 +52,23 @@ def unknown_parameters(c: NetworkParameters) -> tuple[Parameter, ...]:
         *(("inertia", f"inertia_{i}", UNITS["inertia"], v) for i, v in zip(names, c.constants[:, INERTIA], strict=True)),
         *(("droop", f"droop_{i}", UNITS["droop"], v) for i, v in zip(names, c.constants[:, DROOP], strict=True)),
     ]
+    where = [
+        f"tie {n.removeprefix('slope_')}" if kind == "slope" else f"area {n.partition('_')[2]}" for kind, n, _, _ in values
+    ]
     tiny = np.finfo(float).tiny
     return tuple(
         Parameter(
-            name, unit, float(v), SPREAD[kind][0] * float(v), SPREAD[kind][1] * float(v), source=SPREAD[kind][2], low=tiny
+            name,
+            unit,
+            float(v),
+            SPREAD[kind][0] * float(v),
+            SPREAD[kind][1] * float(v),
+            source=SPREAD[kind][2],
+            low=tiny,
+            meaning=f"{MEANING[kind][0]} of {place}",
+            check=MEANING[kind][1],
         )
-        for kind, name, unit, v in values
+        for (kind, name, unit, v), place in zip(values, where, strict=True)
     )
 
 

@@ -55,7 +55,7 @@ LEAK = 0.05  # of the inflow
 SETTING = 0.01  # of the inflow: standard deviation of the error of a pump's setting, our choice
 FINER = 4  # substeps of the high-fidelity model in one of the model
 STATES, TANKS = ("level_1", "level_2"), ("upper", "lower")
-PUMP = "Check the pump, the valves behind it, and for leaks before the upper tank."
+PUMP = "Check the pump and the valves downstream of it, and look for leaks from the pipe or the upper tank."
 ALGEBRAIC = ("flow_12", "flow_out")
 
 
@@ -117,7 +117,8 @@ def tank_physics() -> Physics:
     return Physics(
         name="two-tanks",
         states=tuple(
-            Signal(n, "m", LEVEL, *LEVELS, meaning=f"the {which} tank") for n, which in zip(STATES, TANKS, strict=True)
+            Signal(n, "m", LEVEL, *LEVELS, meaning=f"the level of the {which} tank")
+            for n, which in zip(STATES, TANKS, strict=True)
         ),
         inputs=(Signal("inflow", "m3/s", INFLOW, 0.0, 2e-3, meaning="flow into the upper tank", check=PUMP),),
         algebraic=tuple(Signal(n, "m3/s", INFLOW) for n in ALGEBRAIC),

@@ -292,8 +292,8 @@ def test_a_change_of_the_process_is_what_was_found(capsys: pytest.CaptureFixture
     chosen = ("diagnose", "--force", "--plant", "two-tanks", "--data", "log.csv", "--detector", detector)
     code, out, _ = call(capsys, *chosen)
     assert code == 0 and out.splitlines()[:3] == [
-        f"20 readings by {detector}: 1 change of the process",
-        "  Outlet has been 5.0 % (3.4 to 6.6) below its value in the model since 15 s; no sensor explains this. "
+        f"20 readings by {detector}: 1 process change",
+        "  Outlet has been 5.0 % (3.4 to 6.6) below its value in the model since 15 s; no single sensor fault explains this. "
         "Check this part of the plant.",
         "If the plant is in order there, the model is not: tune it to a log without a fault.",
     ]

@@ -36,12 +36,12 @@ INFLOW = ProcessEvent("error of inflow", 0.0, 6720.0, 1e-4, "m3/s", False, sd=1e
 
 def test_a_sensor_is_told_as_a_technician_would() -> None:
     assert sentence(TT04, WORDS, NIGHT) == (
-        "Mixed-air temperature TT04 read 1.5 K (1.3 to 1.7) too high from 2026-03-01 02:07 to 03:59; it is back. "
-        "Check the sensor's wiring or calibration."
+        "Mixed-air temperature TT04 read 1.5 K (1.3 to 1.7) too high from 2026-03-01 02:07 to 03:59; it agrees with the model "
+        "again. Check the sensor's wiring or calibration."
     )
     low = replace(TT04, hypothesis="l1", size=-1.5, low=-1.7, high=-1.3, open=True, confidence=0.6, alternatives=("TT04",))
     assert sentence(low, WORDS, NIGHT) == (
-        "Probably sensor l1 has read 1.5 K (1.3 to 1.7) too low since 2026-03-01 02:07; it is still off. "
+        "Sensor l1 probably has read 1.5 K (1.3 to 1.7) too low since 2026-03-01 02:07; the error persists. "
         "It may be mixed-air temperature TT04 instead. Tap the float."
     )
     assert sentence(TT04, {}, Clock()).startswith("Sensor TT04 read 1.5 K (1.3 to 1.7) too high from 0 s to 6720 s")
@@ -52,7 +52,7 @@ def test_a_sensor_is_told_as_a_technician_would() -> None:
     [
         ("drift", "drifted until it read 1.5 K (1.3 to 1.7) too high from"),
         ("freeze", "was stuck at one value from"),
-        ("noise", "was noisy (by 1.5 K (1.3 to 1.7)) from"),
+        ("noise", "was noisy, by a standard deviation of 1.5 K (1.3 to 1.7), from"),
         ("spikes", "had spikes of 1.5 K (1.3 to 1.7) from"),
         ("dropout", "gave no readings from"),
         ("", "read 1.5 K (1.3 to 1.7) too high from"),
@@ -62,22 +62,28 @@ def test_each_kind_of_fault_has_its_words(fault: str, said: str) -> None:
     assert f"TT04 {said}" in sentence(replace(TT04, fault=fault), WORDS, NIGHT)
 
 
+def test_an_event_that_was_not_seen_to_end_may_still_be_there() -> None:
+    assert "; whether it is over is not known. " in sentence(TT04, WORDS, NIGHT, ended=False)
+    closed = replace(OUTLET, hypothesis="equation of level", nominal=np.nan, open=False)
+    assert sentence(closed, WORDS, NIGHT).startswith("Something that the model leaves out lowered the tank from")
+
+
 @pytest.mark.parametrize(("size", "sigmas"), [(0.0, 0.0), (1e-3, 0.003), (np.nan, np.nan)])
 def test_a_size_of_none_is_not_printed(size: float, sigmas: float) -> None:
     told = sentence(replace(TT04, size=size, sigmas=sigmas), WORDS, NIGHT)
-    assert told.startswith("Mixed-air temperature TT04 read wrong from") and "(" not in told
+    assert told.startswith("Mixed-air temperature TT04 gave wrong readings from") and "(" not in told
 
 
 def test_the_process_is_told_by_what_differs() -> None:
     assert sentence(OUTLET, WORDS, NIGHT) == (
-        "Outlet has been 5.0 % (3.4 to 6.6) below its value in the model since 2026-03-01 02:07; no sensor explains this. "
-        "Check this part of the plant."
+        "Outlet has been 5.0 % (3.4 to 6.6) below its value in the model since 2026-03-01 02:07; no single sensor fault "
+        "explains this. Check this part of the plant."
     )
-    told = "Flow of the pump (inflow): the plant got 1.0e-04 m3/s (8e-05 to 1.2e-04) more than the log states from"
+    told = "Flow of the pump (inflow): the actual value was 1.0e-04 m3/s (8e-05 to 1.2e-04) above the recorded one from"
     assert sentence(INFLOW, WORDS, NIGHT).startswith(told)
     level = replace(OUTLET, hypothesis="equation of level", nominal=np.nan)
     told = sentence(level, WORDS, NIGHT)
-    assert told.startswith("Something that the model leaves out lowers the tank since") and "equation" not in told
+    assert told.startswith("Something that the model leaves out has lowered the tank since") and "equation" not in told
 
 
 @pytest.mark.parametrize(
@@ -92,15 +98,15 @@ def test_the_process_is_told_by_what_differs() -> None:
 def test_a_size_that_cannot_be_is_not_printed(impossible: ProcessEvent) -> None:
     told = sentence(impossible, WORDS, NIGHT)
     assert size_of(impossible, WORDS) == "" and "%" not in told and "m3/s" not in told
-    assert "different from the model" in told or "did not get what the log states" in told
+    assert "different from the model" in told or "different from the recorded one" in told
 
 
 def test_what_is_undecided_names_all_suspects_in_words() -> None:
     names = ("l1", "error of inflow", "equation of level", "TT04", "outlet")
     event = UndecidedEvent(" or ".join(names), 0.0, 60.0, np.nan, "", True, names)
     assert sentence(event, WORDS, NIGHT) == (
-        "The readings do not tell since 2026-03-01 02:07 whether sensor l1 or the input flow of the pump or the balance of the "
-        "tank or mixed-air temperature TT04 or outlet is wrong. Check them on site, the first first."
+        "The readings have not shown since 2026-03-01 02:07 whether sensor l1 or the recorded flow of the pump or an "
+        "unmodelled effect on the tank or mixed-air temperature TT04 or outlet is at fault. Check them on site, in this order."
     )
     assert sentence(UnnamedEvent("none", 0.0, 60.0, np.nan, "", True), WORDS, NIGHT).startswith("The process has not fitted")
 
@@ -111,9 +117,9 @@ def test_sensors_are_first_then_the_process_then_what_is_undecided() -> None:
     likely = replace(TT04, confidence=0.6, sigmas=20.0)
     given = [undecided, OUTLET, unlikely, likely, TT04, large]
     assert by_importance(given) == [large, TT04, likely, OUTLET, undecided, unlikely]
-    assert [sentence(replace(TT04, confidence=p), WORDS, NIGHT).split()[0] for p in (0.5, 0.51)] == ["Perhaps", "Probably"]
+    assert [sentence(replace(TT04, confidence=p), WORDS, NIGHT).split()[3] for p in (0.49, 0.5)] == ["perhaps", "probably"]
     assert by_importance([undecided, OUTLET], passing=[undecided]) == [OUTLET, undecided]
-    assert counted([undecided, OUTLET, TT04, large]) == "2 faulty sensors, 1 change of the process, 1 open question"
+    assert counted([undecided, OUTLET, TT04, large]) == "2 faulty sensors, 1 process change, 1 unresolved alarm"
 
 
 def test_a_line_of_a_watch_has_the_sentence() -> None:
@@ -129,7 +135,7 @@ def test_words_are_what_the_plant_states() -> None:
     assert words["l1"] == Wording("sensor", "l1", "Level", "Look.") and str(words["l1"]) == "level l1"
     assert words["error of inflow"].part == "input" and words["error of inflow"].name == "inflow"
     robust = wordings(registry.detector("robust-glr", registry.plant("two-tanks")))
-    assert str(robust["equation of level_1"]) == "the balance of the upper tank"
+    assert str(robust["equation of level_1"]) == "an unmodelled effect on the level of the upper tank"
     assert robust["error of inflow"].high == pytest.approx(2e-3) and robust["leak"].check.startswith("Check the lower tank")
 
 

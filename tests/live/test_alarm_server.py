@@ -109,7 +109,7 @@ def test_an_alarm_is_raised_acknowledged_worsened_ended_and_sent_again_on_reques
         served.change("l2", 1, "opened", 0.0)
         assert await operator.next() == (*OFF, True, False, False, True)
         first = operator.event
-        assert first.Severity == 400 and first.SourceName == "l2" and "bias" in first.Message.Text
+        assert first.Severity == 400 and first.SourceName == "l2" and " l2 " in first.Message.Text
         await operator.call(IDS.AcknowledgeableConditionType_Acknowledge, first.EventId, ua.LocalizedText("seen"))
         assert await operator.next() == (*OFF, True, True, False, True)
         assert operator.event.Comment.Text == "seen"

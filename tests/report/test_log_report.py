@@ -47,7 +47,7 @@ BOTH = found(BIASED, accept=(9, NEVER), doubt=(2, 6), between=(0, 5))
 
 
 BIAS = (
-    "Flow between the tanks q12 has read 1.20e-04 m3/s (1.17e-04 to 1.23e-04) too high since 105 s; it is still off. "
+    "Flow between the tanks q12 has read 1.20e-04 m3/s (1.17e-04 to 1.23e-04) too high since 105 s; the error persists. "
     "Check the sensor's wiring or calibration."
 )
 FEW = ["Too few healthy readings to tell whether the model fits.", "model not tested: 20 healthy samples are too few"]
@@ -55,12 +55,12 @@ FEW = ["Too few healthy readings to tell whether the model fits.", "model not te
 
 def test_what_was_found_is_first() -> None:
     assert as_text(BOTH, "process-bank").splitlines() == [
-        "40 readings by process-bank: 1 faulty sensor, 1 change of the process, 1 open question",
+        "40 readings by process-bank: 1 faulty sensor, 1 process change, 1 unresolved alarm",
         f"  {BIAS}",
-        "  Outlet has been 5.0 % (3.4 to 6.6) below its value in the model since 45 s; no sensor explains this. "
+        "  Outlet has been 5.0 % (3.4 to 6.6) below its value in the model since 45 s; no single sensor fault explains this. "
         "Check this part of the plant.",
-        "  The readings did not tell from 10 s to 25 s whether level of the upper tank l1 or the input flow into the upper "
-        "tank was wrong. Check them on site if it comes again.",
+        "  The readings did not show from 10 s to 25 s whether level of the upper tank l1 or the recorded flow into the upper "
+        "tank was at fault. Check them on site if it happens again.",
         "If the plant is in order there, the model is not: tune it to a log without a fault.",
         "model suspect: outlet 5.0 % +- 0.8 below the model",
     ]
@@ -88,8 +88,8 @@ def column(name: str, title: str, unit: str) -> Source:
 def test_people_see_the_tags_and_units_of_their_log_and_tables_those_of_the_plant(tmp_path: Path) -> None:
     shown_in = LogUnits(PLANT, [column("q12", "FI12.PV", "m3/h"), column("l1", "LI1.PV [mm]", "mm"), column("l2", "l2", "")])
     _, sensor, _, undecided, *_ = as_text(shown_in.diagnosis(BOTH), "process-bank").splitlines()
-    told = "Flow between the tanks FI12.PV has read 0.432 m3/h (0.421 to 0.443) too high since 105 s; it is still off."
-    assert sensor.startswith(f"  {told} Check") and "level of the upper tank LI1.PV or the input flow" in undecided
+    told = "Flow between the tanks FI12.PV has read 0.432 m3/h (0.421 to 0.443) too high since 105 s; the error persists."
+    assert sensor.startswith(f"  {told} Check") and "level of the upper tank LI1.PV or the recorded flow" in undecided
     write_diagnosis(tmp_path, PLANT, BIASED, U[:, 0], BOTH, shown_in=shown_in)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert told in page and "0.432 m3/h" in page and "0.00012" not in page
@@ -267,7 +267,5 @@ def test_many_times_of_one_sensor_are_one_finding(tmp_path: Path) -> None:
     events = tuple(replace(q12, start=5.0 * k, end=5.0 * k, open=False) for k in range(1, 30, 2))
     write_page(tmp_path / "report.html", PLANT, BIASED, replace(BOTH, events=events), About("log.csv", "loo"))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert (
-        "In all 15 times from 5 s to 145 s: each is among the numbers of this finding." in page and page.count("<article") == 1
-    )
+    assert "15 occurrences in all, from 5 s to 145 s; see Numbers." in page and page.count("<article") == 1
     assert page.count("<td>bias</td>") == 15 and page.count("q12 read") == 1
