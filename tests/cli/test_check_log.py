@@ -53,7 +53,7 @@ def test_what_was_found_is_printed(files: list[str], capsys: pytest.CaptureFixtu
 def test_a_wrong_unit_is_reported_and_no_fault(files: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["diagnose", *files, "--out", str(tmp_path / "out"), "--detector", "loo-glr"]) == 1
     out, err = capsys.readouterr()
-    assert "0 events" in out  # the sensor is taken as missing, and that is known
+    assert "240 readings by loo-glr: cannot tell: the unit of PT101 looks wrong" in out  # it is taken as missing
     assert "PT101 looks 100000 times too small" in err and "3 feed values held" in err and "4 duplicates" in err
 
 

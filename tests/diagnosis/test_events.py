@@ -43,7 +43,7 @@ def found(*, bias_from: int = 1000, **settings: Any) -> Diagnosis:
 def test_nothing_is_found() -> None:
     nothing = found()
     assert nothing.events == () and nothing.verdict == "no fault" == str(nothing)
-    assert repr(nothing) == "<Diagnosis of 40 readings, 0 events: no fault>"
+    assert repr(nothing) == "<Result of 40 readings, 0 events: no fault>"
 
 
 def test_an_accepted_parameter_is_stated_relative_to_the_model() -> None:
@@ -77,7 +77,7 @@ def test_the_process_is_first_then_what_is_undecided_then_sensors() -> None:
         ("sensor", "q12"),
     ]
     expected = "process or model: error of inflow, outlet; cannot tell: outlet or l1; sensor q12"
-    assert diagnosis.verdict == expected and repr(diagnosis) == f"<Diagnosis of 40 readings, 4 events: {expected}>"
+    assert diagnosis.verdict == expected and repr(diagnosis) == f"<Result of 40 readings, 4 events: {expected}>"
     _, _, undecided, sensor = diagnosis.events
     assert str(undecided) == "cannot tell: outlet or l1, from 15 s to 35 s"  # the more probable first
     assert str(sensor) == "q12: 105 s to end of the log, bias 0.00012 m3/s (0.0001169 to 0.000123), 20 sigma"

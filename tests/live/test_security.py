@@ -177,7 +177,7 @@ def test_a_password_without_encryption_is_refused_unless_it_is_allowed(
         raise ConnectedError
 
     monkeypatch.setattr(opcua, "connected", connect)
-    monkeypatch.setattr(mqtt, "Bridge", connect)
+    monkeypatch.setattr(mqtt, "MqttBridge", connect)
     for host in ("127.0.0.1", "plc"):  # loopback, too
         with pytest.raises(
             ValueError, match=r"would be sent without encryption.*SignAndEncrypt.*--allow-plain-password"

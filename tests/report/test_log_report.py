@@ -183,7 +183,7 @@ def test_the_report_states_health_events_and_gaps(tmp_path: Path) -> None:
         "Diagnosis of <unit> 4.csv",
         "37 rows of 4 sensors of two-tanks, from 2026-03-01 23:58:05 to 2026-03-02 00:01:20; all times in UTC+01:00.",
         "1 faulty sensor.",
-        "Flow between the tanks q12 has read 1.20e-04 m3/s (1.16e-04 to 1.23e-04) too high since 2026-03-01 23:59:45; it is",
+        "Flow between the tanks q12 has read 1.20e-04 m3/s (1.16e-04 to 1.23e-04) too high since 2026-03-01 23:59:45; the",
         "Confidence > 99 %.",
         "Model not tested: 17 healthy samples are too few.",
         "Verdict: sensor q12.",
@@ -251,7 +251,7 @@ def test_each_finding_is_a_sentence_and_has_its_picture(tmp_path: Path) -> None:
     events = (*BOTH.events[:2], small, large)
     write_page(tmp_path / "report.html", PLANT, BIASED, replace(BOTH, events=events), notes)
     page = html.unescape((tmp_path / "report.html").read_text(encoding="utf-8"))
-    told = ("q12 drifted until it read", "q12 had spikes of", "Outlet has been 5.0 %", "The readings did not tell", "<h2>Each")
+    told = ("q12 drifted until it read", "q12 had spikes of", "Outlet has been 5.0 %", "The readings did not show", "<h2>Each")
     places = [page.index(text) for text in told]
     assert places == sorted(places)
     for title in ("1. q12: drift", "2. q12: spikes", "3. outlet: process", "4. Undecided"):
