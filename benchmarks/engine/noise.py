@@ -25,7 +25,7 @@ from fusion_sfdia.benchmarks.engine.support.noise_figures import (
     modules_of,
     published,
 )
-from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row, timeline
+from fusion_sfdia.benchmarks.engine.support.trials import NAMES, SAMPLING, row, timeline
 from fusion_sfdia.common.run_statistics import Estimate
 from fusion_sfdia.diagnosis.fault_effects import apply_faults
 from fusion_sfdia.diagnosis.faults import Fault
@@ -44,14 +44,14 @@ CHUNK = 100  # runs in one task
 def noise_tasks(settings: Settings, seeds: int) -> list[Task]:
     """One task per noise level and CHUNK runs, both faults with the same noise."""
     campaign.require_settings(settings)
-    common = {k: settings[k] for k in ("detector", "onset", "duration")}
+    common = {k: settings[k] for k in ("detector", "onset", "duration", "sampling")}
     return [common | {"level": level, "seeds": block} for level in settings["levels"] for block in seed_blocks(seeds, CHUNK)]
 
 
 def noise_work(task: Task) -> Arrays:
     """First firings (2, B, N), by fault; until the onset the runs are the same."""
-    detector = campaign.steady_detector(task["detector"], task["level"])
-    t, u, signal = campaign.truth(task["duration"])
+    detector = campaign.steady_detector(task["detector"], task["level"], sampling=task["sampling"])
+    t, u, signal = campaign.truth(task["duration"], sampling=task["sampling"])
     faults = [Fault(s, "bias", task["onset"], magnitude=size, relative=True) for s, size in FAULTS.items()]
     changed = apply_faults(detector.plant, t, np.stack([signal] * len(faults), axis=1), [[f] for f in faults])
     onset = int(np.argmax(changed.active.any(axis=(1, 2))))
@@ -81,7 +81,11 @@ def noise_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Sum
                 answer = found[sensor, group, level] = campaign.response(first[i], settings["onset"], modules_of(sensor, group))
                 quantity = NAMES[modules_of(sensor, OWN)[0]] if group == OWN else group
                 for metric, estimate in _metrics(answer).items():
-                    stated = published(sensor, group, level, metric) if settings["duration"] == 100.0 else None
+                    stated = (
+                        published(sensor, group, level, metric)
+                        if (settings["duration"], settings["sampling"]) == (100.0, SAMPLING)
+                        else None
+                    )
                     rows.append(at(fault, quantity, metric, estimate, stated, condition=condition(level)))
             lines = timeline(first[i], (PublishedOffset(sensor, settings["onset"], size),), settings["duration"])
             rows += isolation_rows("engine/noise", name, fault, lines, condition=condition(level))
@@ -161,7 +165,13 @@ SCENARIO = Scenario(
     title="Missed detections and delays by noise level",
     about="A bias of 7 % on the fuel sensor and one of 65 % on the torque sensor, each alone from 20 s on, at noise of 1 to "
     "10 % of the nominal values: missed detections by the sensor's own module and by all other agents, and detection delays.",
-    settings={"detector": campaign.VALID, "levels": (0.02, 0.04, 0.06, 0.08, 0.10), "onset": 20.0, "duration": 40.0},
+    settings={
+        "detector": campaign.VALID,
+        "levels": (0.02, 0.04, 0.06, 0.08, 0.10),
+        "onset": 20.0,
+        "duration": 40.0,
+        "sampling": SAMPLING,
+    },
     seeds=4,
     full_seeds=100,
     tasks=noise_tasks,

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, MOST_NOISE, engine, extremes
+from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, MOST_NOISE, SAMPLING, engine, extremes
 from fusion_sfdia.common.random_streams import stream
 from fusion_sfdia.common.run_statistics import Estimate, mean_over_runs, proportion, share
 from fusion_sfdia.detectors.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
@@ -58,12 +58,18 @@ class NoiseFreeRun(NamedTuple):
 
 
 @cache
-def truth(duration: float, drive: str = "constant", at: float = 0.0, fault: tuple[str, float] | None = None) -> NoiseFreeRun:
+def truth(
+    duration: float,
+    drive: str = "constant",
+    at: float = 0.0,
+    fault: tuple[str, float] | None = None,
+    sampling: float = SAMPLING,
+) -> NoiseFreeRun:
     """The engine for `duration` seconds under one of DRIVES, which acts at `at`, as a process fault (kind, severity) does.
 
     Computed on finer steps than the detector's.
     """
-    plant = marine_engine()
+    plant = marine_engine(dt=sampling)
     steps = round(duration / plant.dt)
     changes: dict[str, Any] = {}
     if fault is not None:
@@ -96,9 +102,11 @@ def default_envelope(level: float) -> float:
 
 
 @cache
-def steady_detector(name: str, level: float = USUAL_NOISE, design: str = "K24", factor: float = 1.0) -> AdaptiveThreshold:
+def steady_detector(
+    name: str, level: float = USUAL_NOISE, design: str = "K24", factor: float = 1.0, sampling: float = SAMPLING
+) -> AdaptiveThreshold:
     """A named detector at a noise level, with the gains of a design times a factor."""
-    plant = engine(level, design)
+    plant = engine(level, design, sampling)
     if plant.structure.modules is not None:
         gains = {state: factor * gain for state, gain in plant.structure.modules.gains.items()}
         modules = replace(plant.structure.modules, gains=gains)

@@ -239,7 +239,7 @@ def test_invalid_settings_are_refused(name: str, settings: dict[str, object], me
 
 
 def test_a_campaign_gives_the_same_bits_for_any_division_of_its_seeds() -> None:
-    task = {"detector": VALID, "onset": 0.3, "duration": 0.5, "level": 0.05}
+    task = {"detector": VALID, "onset": 0.3, "duration": 0.5, "level": 0.05, "sampling": 0.01}
     both = engine_noise.noise_work({**task, "seeds": [5, 6]})["first"]
     alone = engine_noise.noise_work({**task, "seeds": [6]})["first"]
     np.testing.assert_array_equal(both[:, 1:], alone)
