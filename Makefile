@@ -56,7 +56,8 @@ test-kernels: $(DEV)
 # the lowest versions of all requirements that pyproject.toml allows, in an environment of their own; versions of that time may
 # call what their own requirements have deprecated since, and what numba has compiled is of no use to another version of it
 LOWEST := .venv-lowest
-LOWEST_TESTS ?= tests/core tests/data_driven tests/logs tests/report tests/live/test_opcua.py tests/live/test_mqtt.py
+LOWEST_TESTS ?= tests/common tests/derivatives/test_*.py tests/plant/test_*.py tests/detectors/test_*.py tests/detectors/data_driven \
+  tests/logs tests/report tests/live/test_opcua.py tests/live/test_mqtt.py
 
 $(LOWEST)/.made: pyproject.toml $(DEV)
 	rm -rf $(LOWEST)
