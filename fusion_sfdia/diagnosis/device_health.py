@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from fusion_sfdia.detectors.detector import Decision
 from fusion_sfdia.detectors.verdicts import ALL_FAR, TOO_MANY, Conclusion, Verdict
 from fusion_sfdia.diagnosis.events import EVEN, Event
+from fusion_sfdia.diagnosis.slow_sensors import UNDECIDED
 from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 
 WITHIN = 3.0  # standard deviations of a sensor's noise: an error up to there is within what the plant states of the sensor
-UNHEARD = 40  # samples without a reading that could be judged, as many as a slow sensor may repeat its value
+UNHEARD = UNDECIDED  # samples without a reading that could be judged, as many as a slow sensor may repeat its value
 
 
 class DeviceHealth(IntEnum):

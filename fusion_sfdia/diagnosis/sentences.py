@@ -21,10 +21,10 @@ from fusion_sfdia.diagnosis.events import (
     UnnamedEvent,
     with_unit,
 )
+from fusion_sfdia.diagnosis.fault_kinds import NORMAL
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.uncertainty import equation_of, error_of
 
-NORMAL = 1.96  # standard deviations of a 95 % interval
 LEAST = 0.05  # of a sensor's sigma: a smaller size is none
 ORDER = {"sensor": 0, "other": 0, "process": 1, "outside": 2, "undecided": 3}
 

@@ -37,7 +37,7 @@ ALARM_TYPES = {  # likewise, with their names
     DeviceHealth.OFF_SPEC: (15590, "OffSpecAlarmType"),
     DeviceHealth.MAINTENANCE_REQUIRED: (15739, "MaintenanceRequiredAlarmType"),
 }
-OF_PROCESS = 700  # severity, from 1 to 1000, of an alarm that is of no sensor
+PROCESS_SEVERITY = 700  # severity, from 1 to 1000, of an alarm that is of no sensor
 SEVERITY = {
     DeviceHealth.FAILURE: 800,
     DeviceHealth.CHECK_FUNCTION: 600,
@@ -210,7 +210,7 @@ class AlarmServer:
         ua, event = self.ua, condition.generator.event
         of_process = ua.NodeId(ua.ObjectIds.OffNormalAlarmType)
         event.EventType = of_process if health is None else ua.NodeId(ALARM_TYPES[health][0], self.devices)
-        condition.severity = OF_PROCESS if health is None else SEVERITY[health]
+        condition.severity = PROCESS_SEVERITY if health is None else SEVERITY[health]
         event.LastSeverity, event.Severity = event.Severity, condition.severity
         event.Message = ua.LocalizedText(text)
 

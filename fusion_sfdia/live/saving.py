@@ -6,12 +6,13 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from fusion_sfdia.common.files import explained
 from fusion_sfdia.diagnosis.changes import Change
-from fusion_sfdia.diagnosis.sentences import wordings
+from fusion_sfdia.diagnosis.sentences import Words, wordings
 from fusion_sfdia.diagnosis.watch import Sample, Watch
 from fusion_sfdia.live.lines import change_line, sample_line
 from fusion_sfdia.live.status import Status
@@ -57,8 +58,12 @@ class SavedWatch:
             self._changed(change)
         return found
 
+    @cached_property
+    def _words(self) -> Words:
+        return wordings(self.watch.detector)
+
     def _changed(self, change: Change) -> None:
-        self.write(line := change_line(change, self.watch.clock, wordings(self.watch.detector)))
+        self.write(line := change_line(change, self.watch.clock, self._words))
         for outlet in self.outlets:
             outlet(change, line)
 

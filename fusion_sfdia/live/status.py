@@ -118,7 +118,7 @@ class Status:
         """Rows that were diagnosed."""
         if not samples:
             return
-        before = self.report()
+        before = self._stands(self._waited())
         self.arrived, clock, sample = self.now(), self.watch.clock, samples[-1]
         self.conclusion, self.health, self.last = sample.conclusion, sample.device_health, clock.at(sample.t)
         self.rows += len(samples)
@@ -126,21 +126,27 @@ class Status:
         if clock.start is not None and clock.start.tzinfo is not None:
             self.stamp = clock.start.timestamp() + sample.t
             self.lag = self.arrived.timestamp() - self.stamp
-        now = self.report()
-        if (now.conclusion.verdict, now.device_health) != (before.conclusion.verdict, before.device_health):
+        if (self.conclusion.verdict, self.health) != (before[0].verdict, before[1]):
             self.beat()
 
     def report(self) -> Report:
         """The report of this moment."""
-        now, missing = self.now(), list(self.missing)
-        waited = (now - (self.arrived or self.began)).total_seconds()
-        known, health = self.conclusion, self.health
-        if waited > self.silent:
-            known, health = Conclusion(Verdict.BLIND, f"no row for {waited:.0f} s"), self.blind
+        waited, missing = self._waited(), list(self.missing)
+        known, health = self._stands(waited)
         age = np.nan if self.arrived is None else waited
         share = float(np.mean(missing)) if missing else 0.0
         of_sensors = dict(zip(self.watch.detector.plant.sensor_names, health, strict=True))
         return Report(known, self.last, self.rows, share, self.lag, age, self.stamp, self.remarks(), of_sensors)
+
+    def _waited(self) -> float:
+        """Seconds since the last row, or since the beginning."""
+        return (self.now() - (self.arrived or self.began)).total_seconds()
+
+    def _stands(self, waited: float) -> tuple[Conclusion, tuple[DeviceHealth, ...]]:
+        """The conclusion and the health of sensors that count after so many seconds without a row."""
+        if waited > self.silent:
+            return Conclusion(Verdict.BLIND, f"no row for {waited:.0f} s"), self.blind
+        return self.conclusion, self.health
 
     def beat(self) -> None:
         """Report to all listeners."""

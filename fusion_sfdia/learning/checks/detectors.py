@@ -22,6 +22,7 @@ from fusion_sfdia.detectors.batch_detector import BatchDetector
 from fusion_sfdia.detectors.detector import Decision, Detector, run
 from fusion_sfdia.detectors.state import State, leaves, mapped, names
 from fusion_sfdia.detectors.storage import load_state, save_state
+from fusion_sfdia.diagnosis.changes import OF_PROCESS
 from fusion_sfdia.learning.checks.process_verdicts import process_verdicts_have_numbers
 from fusion_sfdia.learning.checks.readings import (
     Healthy,
@@ -45,7 +46,6 @@ from fusion_sfdia.plant.plant import Plant
 Array = NDArray[Any]
 
 FLAGS = {"isolated", "diverged", "guarded", "capped", "absurd", "absurd_input", "process", "suspect"}
-OF_PROCESS = ("process", "process_size", "process_sd", "suspect", "probability")
 
 
 def check_detector(detector: Any, plant: Any = "two-tanks") -> None:
