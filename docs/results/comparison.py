@@ -1,4 +1,4 @@
-"""Writes comparison.csv and comparison.md from the metrics.csv of a comparison: python docs/results/comparison.py METRICS.
+"""Writes comparison.csv, comparison.md and loss.svg from a comparison's metrics.csv: python docs/results/comparison.py METRICS.
 
 The page holds what comparison.csv holds, which is the part of metrics.csv that it shows; a test renders it again.
 """
@@ -11,13 +11,17 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from fusion_sfdia.detectors import registry
+from fusion_sfdia.report.figure_files import figure_svg
+from fusion_sfdia.study.comparison.loss_figure import draw_loss
+from fusion_sfdia.study.comparison.protocol import COSTS
+from fusion_sfdia.study.comparison.result_tables import cost_words
 
 HERE = Path(__file__).parent
 FALSE_ISOLATION = "false_isolation_probability"  # the metric
 COLUMNS = ("plant", "detector", "fault", "quantity", "condition", "metric", "value", "low", "high", "n")
 PLANTS = ("two-tanks", "marine-engine", "gas-pipeline", "power-network")
 LENGTHS = (2, 5, 30, 120)
-CRITERIA = ("detection", "isolation", "accommodation", "exoneration")
+CRITERIA = ("loss", "detection", "isolation", "accommodation", "exoneration")
 ABSENT = "not applicable"
 
 Row = dict[str, str]
@@ -144,7 +148,12 @@ def render(rows: Sequence[Row]) -> str:
     """The page."""
     index = index_of(rows)
     detectors = list(dict.fromkeys(r["detector"] for r in rows))
-    parts = [ABOUT]
+    losses = by_plant(detectors, lambda p, d: interval(index.get((p, d, "ranked", "loss", "score"))))
+    parts = [
+        ABOUT,
+        f"## Loss\n\n{cost_words(COSTS)} Bold in the figure: no detector costs less beyond chance.\n\n"
+        f"![The loss of every detector on every plant](loss.svg)\n\n{losses}\n",
+    ]
     for title, about, fault, metric in TABLES:
         shown = by_plant(detectors, lambda p, d, fault=fault, metric=metric: interval(index.get((p, d, fault, "all", metric))))
         parts.append(f"## {title}\n\n{about[0].upper() + about[1:]}.\n\n{shown}\n")
@@ -170,7 +179,7 @@ def render(rows: Sequence[Row]) -> str:
     for plant in (*PLANTS, "all plants"):
         ranked = [d for d in detectors if any((plant, d, "ranked", c, "rank") in index for c in CRITERIA)]
         lines = []
-        for d in sorted(ranked, key=lambda d: [float(index[plant, d, "ranked", c, "rank"]["value"]) for c in CRITERIA[:2]]):
+        for d in sorted(ranked, key=lambda d: float(index[plant, d, "ranked", "loss", "score"]["value"])):
             found = [index[plant, d, "ranked", c, "rank"]["value"] for c in CRITERIA]
             lines.append([f"`{d}`", *(f"{float(v):.0f}" for v in found)])
         if lines:
@@ -201,14 +210,28 @@ def claims(index: Index, detectors: Sequence[str]) -> str:
     )
 
 
+def loss_svg(rows: Sequence[Row]) -> str:
+    """The figure of the losses."""
+    losses: dict[str, dict[str, dict[str, float]]] = {}
+    best: dict[str, list[str]] = {plant: [] for plant in PLANTS}
+    for row in rows:
+        if row["metric"] == "loss_part":
+            of = losses.setdefault(row["plant"], {}).setdefault(row["detector"], {})
+            of[row["quantity"]] = float(row["value"])
+        elif (row["metric"], row["quantity"], row["value"]) == ("rank", "loss", "1") and row["plant"] in best:
+            best[row["plant"]].append(row["detector"])
+    return figure_svg("loss", lambda: draw_loss({plant: losses[plant] for plant in PLANTS}, best))
+
+
 def main(metrics: Path) -> None:
-    """Write both files."""
+    """Write the numbers, the page and the figure."""
     rows = [shortened(row) for row in load(metrics)]
     with (HERE / "comparison.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
     (HERE / "comparison.md").write_text(render(rows), encoding="utf-8")
+    (HERE / "loss.svg").write_text(loss_svg(rows), encoding="utf-8")
 
 
 if __name__ == "__main__":

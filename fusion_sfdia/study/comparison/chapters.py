@@ -95,7 +95,7 @@ def plant_chapter(
     return Chapter(
         some.subject.slug,
         some.plant,
-        text=[about, *plant_findings(settings, cells, criteria)],
+        text=[about, *plant_findings(settings, cells)],
         method=[
             f"Truth behind the readings: differs from the detectors' model by {stated_distance(some.subject)} at most.",
             f"A fault lasts {settings['window']} samples, {settings['window'] * model.dt:g} s, where no length is stated, and "

@@ -26,7 +26,7 @@ from fusion_sfdia.report.results import Row
 from fusion_sfdia.study.cases import ComparisonCases
 from fusion_sfdia.study.comparison import run, summary
 from fusion_sfdia.study.comparison.metric_rows import SCENARIO as NAME
-from fusion_sfdia.study.comparison.protocol import KINDS, SETTINGS
+from fusion_sfdia.study.comparison.protocol import COSTS, KINDS, SETTINGS
 from fusion_sfdia.study.comparison.subjects import (
     DetectorLike,
     PlantLike,
@@ -61,7 +61,8 @@ class Comparison:
             )
         plants = [self.subjects.plant(name) for name in settings["plants"]]
         detectors = [self.subjects.detector(name) for name in settings["detectors"]]
-        common = {k: list(v) if isinstance(v, tuple) else v for k, v in settings.items() if k not in ("plants", "detectors")}
+        apart = ("plants", "detectors", *COSTS)  # costs weigh what the work found
+        common = {k: list(v) if isinstance(v, tuple) else v for k, v in settings.items() if k not in apart}
         return [
             {"plant": plant.name, "detector": detector.name, "sources": f"{plant.digest}-{detector.digest}"}
             | common
@@ -95,7 +96,14 @@ def scenario_of(subjects: Subjects) -> Scenario:
         work=comparison.work,
         summarise=comparison.summarise,
         full={"calibration_error": 0.1},
-        bounds={"settle": (0, 1e6), "window": (2, 1e6), "false_alarm": (1e-6, 0.5), "calibration_error": (0, 0.99)},
+        bounds={
+            **dict.fromkeys(COSTS, (0.0, 1e6)),
+            "wrong_model_share": (0, 1),
+            "settle": (0, 1e6),
+            "window": (2, 1e6),
+            "false_alarm": (1e-6, 0.5),
+            "calibration_error": (0, 0.99),
+        },
         optional=("lengths",),
     )
 

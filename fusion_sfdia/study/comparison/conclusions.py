@@ -15,45 +15,16 @@ from fusion_sfdia.study.comparison.metric_rows import (
     under_process_faults,
 )
 from fusion_sfdia.study.comparison.protocol import length_name, sizes, stated_error
-from fusion_sfdia.study.comparison.ranking import RankedDetector
 from fusion_sfdia.study.comparison.recordings import stated_distance
-from fusion_sfdia.study.comparison.result_tables import EVERY, Standings
 from fusion_sfdia.study.experiments.scenario import Settings
 
-MOST_LEADERS = 3  # whose ranks by plant stand at the top
 MOST_LISTED = 9  # detectors by name in a sentence
 RARELY = 0.01  # of samples: what is less is not reported
 
 
-def findings(settings: Settings, cells: Cells, standings: Standings) -> list[str]:
+def findings(settings: Settings, cells: Cells) -> list[str]:
     """What is found over all plants."""
-    found = [leaders(settings, EVERY, list(cells.values()), standings[EVERY])] if EVERY in standings else []
-    found += by_plant(standings)
-    found += shortest(settings, cells)
-    return [*found, *broken_claims(list(cells.values()))]
-
-
-def by_plant(standings: Standings) -> list[str]:
-    """The rank on each plant of the detectors that are first over all plants, where these are few."""
-    found = []
-    for criterion, pooled in standings.get(EVERY, {}).items():
-        best = [d for d, s in pooled.items() if s.rank == min(other.rank for other in pooled.values())]
-        if len(best) > MOST_LEADERS or not any(s.mean.n for s in pooled.values()):
-            continue
-        ranks = {plant: criteria[criterion] for plant, criteria in standings.items() if plant != EVERY}
-        of_each = [
-            f"{name} is {', '.join(f'{place(of, name)} on {plant}' for plant, of in ranks.items() if name in of)}"
-            for name in best
-        ]
-        found.append(f"First in {criterion} over all plants, and by plant: {'; '.join(of_each)}.")
-    return found
-
-
-def place(standings: Mapping[str, RankedDetector], name: str) -> str:
-    """A rank in words, and how many share it."""
-    rank = standings[name].rank
-    shared = sum(s.rank == rank for s in standings.values())
-    return f"rank {rank}{f' with {shared - 1} more' if shared > 1 else ''}"
+    return [*shortest(settings, cells), *broken_claims(list(cells.values()))]
 
 
 def shortest(settings: Settings, cells: Cells) -> list[str]:
@@ -75,51 +46,16 @@ def shortest(settings: Settings, cells: Cells) -> list[str]:
     ]
 
 
-def plant_findings(
-    settings: Settings, cells: Mapping[str, ComparisonCell], criteria: Mapping[str, Mapping[str, RankedDetector]]
-) -> list[str]:
+def plant_findings(settings: Settings, cells: Mapping[str, ComparisonCell]) -> list[str]:
     """The findings on one plant."""
     plant, known = next(iter(cells.values())).plant, list(cells.values())
     return [
-        *([leaders(settings, plant, known, criteria)] if criteria else []),
         *missed(settings, known),
         *false_isolations(plant, cells),
         *broken_claims(known),
         *excess_alarms(known),
         *divergences(known),
     ]
-
-
-def leaders(
-    settings: Settings, plant: str, cells: Sequence[ComparisonCell], criteria: Mapping[str, Mapping[str, RankedDetector]]
-) -> str:
-    """Which detectors none exceeds beyond chance on a plant, with a note where one misses large faults."""
-    _, large = sizes(settings)
-    flaws: dict[str, dict[str, list[str]]] = {}
-    for cell in cells:
-        rows = cell.rows_of(*cell.graded(large))
-        never = rows.size > 0 and not cell["isolated"][rows].any()
-        if flaw := "detects little" if detected_share(settings, cell) < 0.5 else "isolates none" if never else "":
-            flaws.setdefault(cell.detector, {}).setdefault(flaw, []).append(cell.plant)
-    counted = len({cell.plant for cell in cells})
-    notes = {
-        d: "which " + " and ".join(f if len(on) == counted else f"{f} on {', '.join(on)}" for f, on in found.items())
-        for d, found in flaws.items()
-    }
-    silent = {d for d, found in flaws.items() if len(found.get("isolates none", ())) == counted}
-    parts = []
-    for criterion, found in criteria.items():
-        if any(s.mean.n for s in found.values()):
-            aside = silent if criterion == "exoneration" else set()
-            parts.append(f"{criterion}{', of those that isolate any' if aside else ''}: {first(found, notes, aside)}")
-    return f"Not exceeded beyond chance on {plant}: {'; '.join(parts)}."
-
-
-def first(standings: Mapping[str, RankedDetector], notes: Mapping[str, str], silent: set[str]) -> str:
-    """The detectors of the best rank, or that all are; one that never isolates never isolates falsely, and is left out."""
-    ranks = {name: s.rank for name, s in standings.items() if name not in silent} or {n: s.rank for n, s in standings.items()}
-    best = [f"{name} ({notes[name]})" if name in notes else name for name, rank in ranks.items() if rank == min(ranks.values())]
-    return "no difference between any" if len(best) == len(ranks) > 1 else ", ".join(best)
 
 
 def broken_claims(cells: Sequence[ComparisonCell]) -> list[str]:

@@ -1,4 +1,4 @@
-"""What the report of a comparison opens with: for each plant a sentence to act on, and what the number of seeds decides."""
+"""What the report of a comparison opens with: for each plant which detector costs least and where another is better."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import numpy as np
 
 from fusion_sfdia.study.comparison.cell import ComparisonCell
 from fusion_sfdia.study.comparison.figures import Cells, of_plant
+from fusion_sfdia.study.comparison.loss import cheaper_elsewhere
 from fusion_sfdia.study.comparison.metric_rows import exact_isolation, under_mismatch, under_process_faults
 from fusion_sfdia.study.comparison.protocol import sizes
-from fusion_sfdia.study.comparison.ranking import RankedDetector
-from fusion_sfdia.study.comparison.result_tables import EVERY, NOT_TRIED, Standings, robustness
+from fusion_sfdia.study.comparison.ranking import LOSS, RankedDetector
+from fusion_sfdia.study.comparison.result_tables import EVERY, NOT_TRIED, Standings
 from fusion_sfdia.study.experiments.scenario import Settings
 
 MOST_EQUALS = 4  # detectors that are no worse beyond chance, by name
@@ -19,67 +20,54 @@ RARELY = 0.01  # of samples: what is less needs no advice
 
 
 def opening(settings: Settings, cells: Cells, standings: Standings) -> list[str]:
-    """A sentence a plant, and what is decided."""
+    """A paragraph a plant, and what the number of seeds decides."""
     plants = dict.fromkeys(plant for plant, _ in cells)
-    advice = [advised(settings, of_plant(cells, plant), standings.get(plant, {}).get("isolation", {})) for plant in plants]
+    advice = [advised(settings, of_plant(cells, p), standings[p][LOSS]) for p in plants if p in standings]
     return [line for line in (*advice, decided(standings)) if line]
 
 
-def advised(settings: Settings, cells: Mapping[str, ComparisonCell], isolation: Mapping[str, RankedDetector]) -> str:
-    """Which detector to take on a plant, what it does where the model is wrong, and which does better there.
+def advised(settings: Settings, cells: Mapping[str, ComparisonCell], ranked: Mapping[str, RankedDetector]) -> str:
+    """Which detector costs least on a plant, where another does, and what it still gets wrong.
 
-    Of those that nothing beats beyond chance in isolation the one with the largest share of exact isolation; where no two
-    differ, the two with the largest shares. Empty where none isolates a faulty sensor, or where no such fault is among the
-    conditions.
+    Empty where no detector isolates a faulty sensor, or where no such fault is among the conditions.
     """
-    exact = {d: exact_isolation(settings, cell) for d, cell in cells.items()}
-    best = [d for d in exact if d not in isolation or isolation[d].rank == 1]
-    name = max(best, key=lambda d: np.nan_to_num(exact[d].value))
-    if not exact[name].value > 0:
+    exact = {d: exact_isolation(settings, cells[d]) for d in ranked}
+    if not any(e.value > 0 for e in exact.values()):
         return ""
+    name = min(ranked, key=lambda d: ranked[d].mean.value)
     cell, (_, large) = cells[name], sizes(settings)
-    others = [d for d in best if d != name]
-    named = f" (as good: {', '.join(others)})" if 0 < len(others) <= MOST_EQUALS else ""
-    share = f"exactly the faulty sensor in {percent(exact[name].value)}"
-    if len(isolation) > 1 and all(standing.rank == 1 for standing in isolation.values()):
-        second = max(others, key=lambda d: np.nan_to_num(exact[d].value))
-        advice = [
-            f"{cell.plant}: no detector isolates significantly better than another; {name} and {second} have the highest "
-            f"values: under a fault of {large:g} sigma they isolate {share} and {percent(exact[second].value)} of the samples."
-        ]
-    else:
-        advice = [
-            f"{cell.plant}: use {name}: no other detector isolates better{named}; under a fault of {large:g} sigma it isolates "
-            f"{share} of the samples."
-        ]
+    equals = [d for d in ranked if d != name and ranked[d].rank == 1]
+    equal = f" (no worse beyond chance: {', '.join(equals)})" if 0 < len(equals) <= MOST_EQUALS else ""
+    many = " No other is worse beyond chance." if 1 < len(ranked) == len(equals) + 1 else ""
+    advice = [f"{cell.plant}: {name} costs least, {ranked[name].mean.value:.2f}{equal}.{many}"]
+    for other, (low, high) in cheaper_elsewhere({d: cells[d] for d in ranked}, settings, name).items():
+        where = (
+            f"below {percent(high)}"
+            if low == 0
+            else f"above {percent(low)}"
+            if high == 1
+            else f"from {percent(low)} to {percent(high)}"
+        )
+        advice.append(f"{other} would cost less if the model were wrong {where} of the time.")
+    most = max(exact, key=lambda d: np.nan_to_num(exact[d].value))
+    more = f"; most exact is {most}, {percent(exact[most].value)}" if exact[most].value > exact[name].value else ""
+    advice.append(
+        f"With the right model {name} isolates exactly the faulty sensor in {percent(exact[name].value)} of the samples of a "
+        f"fault of {large:g} sigma{more}."
+    )
     if not any(c.mismatches for c in cells.values()):
         advice.append(f"{NOT_TRIED.capitalize()}.")
-    mismatch, process = under_mismatch(cell), under_process_faults(cell)
-    if mismatch.share.value > RARELY:
-        advice.append(
-            f"With a wrong model ({mismatch.case}) {name} isolates a healthy sensor in {percent(mismatch.share.value)} of "
-            "the samples"
-        )
-        robust = max(cells, key=lambda d: np.nan_to_num(robustness(settings, cells[d])))
-        less = under_mismatch(cells[robust]).share.value
-        better = robust != name and less < mismatch.share.value / 2
-        advice[-1] += f"; {robust} in {percent(less)}, and the faulty one in {percent(exact[robust].value)}." if better else "."
-    if process.share.value > RARELY:
-        advice.append(
-            f"It attributes a process fault ({process.case}) to a sensor in {percent(process.share.value)} of the samples."
-        )
+    for what, (share, case) in (("a wrong model", under_mismatch(cell)), ("a process fault", under_process_faults(cell))):
+        if share.value > RARELY:
+            advice.append(f"Under {what} ({case}) it isolates a healthy sensor in {percent(share.value)} of the samples.")
     return " ".join(advice)
 
 
 def decided(standings: Standings) -> str:
-    """How many pairs of detectors differ beyond chance on each plant: a rank counts those that are better."""
-    told = []
-    for plant, criteria in standings.items():
-        if plant != EVERY and (found := criteria.get("isolation", {})):
-            pairs = len(found) * (len(found) - 1) // 2
-            counts = [sum(s.rank - 1 for s in criteria.get(c, {}).values()) for c in ("detection", "isolation")]
-            told.append(f"{plant} {counts[0]} and {counts[1]} of {pairs}")
-    return f"Pairs of detectors that differ significantly, in detection and in isolation: {'; '.join(told)}." if told else ""
+    """How many pairs of detectors differ in loss beyond chance on each plant: a rank counts those that are better."""
+    counts = {plant: criteria[LOSS] for plant, criteria in standings.items() if plant != EVERY}
+    pairs = [f"{p} {sum(s.rank - 1 for s in of.values())} of {len(of) * (len(of) - 1) // 2}" for p, of in counts.items()]
+    return f"Pairs of detectors whose losses differ beyond chance: {'; '.join(pairs)}." if pairs else ""
 
 
 def percent(share: float) -> str:

@@ -35,6 +35,12 @@ HEALTHY = "none"
 LEAST_RUNS = 10  # of a calibration: their differences show how uncertain it is
 RUNS_PER_SEED = 3  # of a calibration, where its error is not set
 
+# Weights of the loss by which detectors are ranked. A missed fault is the unit. A healthy sensor isolated costs twice that: a
+# good reading is taken out, a technician is sent to the wrong place, and what is really wrong goes on. A late alarm costs half:
+# even without a name somebody would have looked. The model is wrong half of the time: no plant is as its model, and how often
+# that matters nobody knows beforehand.
+COSTS = {"missed_cost": 1.0, "false_isolation_cost": 2.0, "delay_cost": 0.5, "wrong_model_share": 0.5}
+
 SETTINGS = {
     "plants": tuple(registry.plants()),
     "detectors": tuple(registry.compared_detectors()),
@@ -47,6 +53,7 @@ SETTINGS = {
     "calibration_error": 0.0,  # standard error of the rate that is set, as a share of it; 0: by the number of seeds
     "mismatch_cases": True,
     "process_faults": True,
+    **COSTS,
 }
 
 

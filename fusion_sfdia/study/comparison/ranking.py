@@ -2,8 +2,8 @@
 
 A cluster is a seed and a group of conditions: its runs share noise and sensor, so they count as one, by their mean. Detectors
 are compared pairwise on the same clusters by the mean of their differences under random signs (Fisher 1935), all pairs of a
-plant and criterion at a family-wise error of 5 % (Holm 1979). The rank of a detector is one more than the number of those whose
-mean is larger beyond chance.
+plant and criterion at a family-wise error of 5 % (Holm 1979). The rank of a detector is one more than the number of those that
+are better beyond chance.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 from fusion_sfdia.common.random_streams import stream
 from fusion_sfdia.common.run_statistics import LEVEL, Estimate
 from fusion_sfdia.study.comparison.cell import ComparisonCell, mean, within
+from fusion_sfdia.study.comparison.loss import loss
 from fusion_sfdia.study.comparison.protocol import HEALTHY, PROCESS
+from fusion_sfdia.study.experiments.scenario import Settings
 
 Array = NDArray[Any]
 
@@ -53,15 +55,26 @@ def exoneration(cell: ComparisonCell) -> dict[str, Array]:
     return _by_group(cell, 1 - cell["falsely_isolated"] / cell["samples"], faulty=False)
 
 
-CRITERIA: dict[str, Callable[[ComparisonCell], dict[str, Array]]] = {
-    "detection": detection,
-    "isolation": isolation,
-    "accommodation": accommodation,
-    "exoneration": exoneration,
+class Criterion(NamedTuple):
+    """By what detectors are ranked: values (C,) by cluster, whether less is better, and the bounds of their mean."""
+
+    values: Callable[[ComparisonCell, Settings], Array]
+    less: bool = False
+    bounds: tuple[float, float] = (0.0, 1.0)
+
+
+def _clusters(of: Callable[[ComparisonCell], dict[str, Array]]) -> Callable[[ComparisonCell, Settings], Array]:
+    return lambda cell, _: np.concatenate([*of(cell).values(), np.empty(0)]).astype(float)
+
+
+LOSS = "loss"
+CRITERIA = {
+    LOSS: Criterion(loss, less=True, bounds=(0.0, np.inf)),
+    "detection": Criterion(_clusters(detection)),
+    "isolation": Criterion(_clusters(isolation)),
+    "accommodation": Criterion(_clusters(accommodation), bounds=(-np.inf, np.inf)),
+    "exoneration": Criterion(_clusters(exoneration)),
 }
-
-
-SHARES = ("detection", "isolation", "exoneration")
 
 
 def _by_group(cell: ComparisonCell, values: Array, *, faulty: bool) -> dict[str, Array]:
@@ -77,15 +90,10 @@ def _by_group(cell: ComparisonCell, values: Array, *, faulty: bool) -> dict[str,
     return {group: values[rows].mean(axis=0) for group, rows in found.items()}
 
 
-def clusters(cells: Mapping[str, ComparisonCell], criterion: str) -> dict[str, Array]:
-    """The values of each detector on all clusters, in the same order."""
-    return {
-        name: np.concatenate([*CRITERIA[criterion](cell).values(), np.empty(0)]).astype(float) for name, cell in cells.items()
-    }
-
-
-def ranking(values: Mapping[str, Array], *, shares: bool = False) -> dict[str, RankedDetector]:
-    """Standing of detectors by their values on the same clusters (C,), larger being better; shares are from 0 to 1."""
+def ranking(
+    values: Mapping[str, Array], *, less: bool = False, bounds: tuple[float, float] = (-np.inf, np.inf)
+) -> dict[str, RankedDetector]:
+    """Standing of detectors by their values on the same clusters (C,). less: is better. bounds: of the mean."""
     names = list(values)
     pairs = list(combinations(names, 2))
     differences = np.array([values[a] - values[b] for a, b in pairs])
@@ -93,15 +101,9 @@ def ranking(values: Mapping[str, Array], *, shares: bool = False) -> dict[str, R
     better: dict[str, set[str]] = {name: set() for name in names}
     for (a, b), difference, probability in zip(pairs, differences, p, strict=True):
         if probability < 1 - LEVEL:
-            first, second = (a, b) if difference.mean() > 0 else (b, a)
+            first, second = (a, b) if (difference.mean() > 0) != less else (b, a)
             better[second].add(first)
-    return {
-        name: RankedDetector(
-            within(mean(values[name]), 0.0, 1.0) if shares else mean(values[name]),
-            1 + len(better[name]),
-        )
-        for name in names
-    }
+    return {name: RankedDetector(within(mean(values[name]), *bounds), 1 + len(better[name])) for name in names}
 
 
 def sign_flips(differences: Array) -> Array:

@@ -18,8 +18,8 @@ from fusion_sfdia.study.comparison.metric_rows import (
     under_mismatch,
     under_process_faults,
 )
-from fusion_sfdia.study.comparison.protocol import MISMATCH_SIGMA, PUBLISHED, length_name, mismatch_cases, sizes
-from fusion_sfdia.study.comparison.ranking import CRITERIA, RankedDetector
+from fusion_sfdia.study.comparison.protocol import COSTS, MISMATCH_SIGMA, PUBLISHED, length_name, mismatch_cases, sizes
+from fusion_sfdia.study.comparison.ranking import CRITERIA, LOSS, RankedDetector
 from fusion_sfdia.study.comparison.recordings import stated_distance
 from fusion_sfdia.study.experiments.scenario import Settings
 
@@ -28,34 +28,29 @@ EVERY = "all plants"
 NOT_TRIED = "model mismatch not tried"
 
 
-def robustness(settings: Settings, cell: ComparisonCell) -> float:
-    """Share of exact isolation times that of the samples without false isolation in the worst mismatch case."""
-    false = under_mismatch(cell).share.value
-    return exact_isolation(settings, cell).value * (1 - false if np.isfinite(false) else 1.0)
-
-
-def choices_table(settings: Settings, cells: Cells) -> ResultTable:
-    """For each plant the detector with most exact isolation, and with false isolation under mismatch counted against it."""
+def choices_table(settings: Settings, cells: Cells, standings: Standings) -> ResultTable:
+    """For each plant the detectors with the least loss, with most exact isolation, and with least false isolation."""
     rows: list[tuple[str | float | Interval, ...]] = []
     for plant in dict.fromkeys(p for p, _ in cells):
-        there = of_plant(cells, plant)
-        if (best := best_isolation(settings, there)) is None:
+        ranked = standings[plant][LOSS] if plant in standings else {}
+        there = {d: of_plant(cells, plant)[d] for d in ranked}
+        if (exact := best_isolation(settings, there)) is None:
             continue
-        robust = max(there, key=lambda d: robustness(settings, there[d]))
-        if not any(cell.mismatches for cell in there.values()):
-            chosen = {best: f"most exact isolation; {NOT_TRIED}"}
-        elif best == robust:
-            chosen = {best: "most exact isolation, with mismatch too"}
-        else:
-            chosen = {best: "most exact isolation", robust: "most robust to mismatch"}
-        for detector, what in chosen.items():
+        isolating = [d for d, cell in there.items() if exact_isolation(settings, cell).value > 0] or list(there)
+        chosen: dict[str, list[str]] = {}
+        chosen.setdefault(min(ranked, key=lambda d: ranked[d].mean.value), []).append("least loss")
+        chosen.setdefault(exact, []).append("most exact isolation")
+        if any(cell.mismatches for cell in there.values()):
+            steady = min(isolating, key=lambda d: (under_mismatch(there[d]).share.value, ranked[d].mean.value))
+            chosen.setdefault(steady, []).append("least false isolation with a wrong model")
+        for detector, why in chosen.items():
             cell = there[detector]
             mismatch, fault = under_mismatch(cell), under_process_faults(cell)
             numbers = (exact_isolation(settings, cell), mismatch.share, mismatch.case, fault.share, fault.case, cell.deployed)
-            rows.append((plant, what, detector, stated_distance(cell.subject), *numbers))
+            rows.append((plant, detector, ", ".join(why), ranked[detector].mean, *numbers))
     _, large = sizes(settings)
     header = (
-        *("plant", "choice", "detector", "truth differs from the model by", f"exact isolation, {large:g} sigma"),
+        *("plant", "detector", "for its", "loss", f"exact isolation, {large:g} sigma"),
         *("false isolation, worst mismatch case", "which"),
         *("false isolation, worst process fault", "which", "healthy samples with an alarm"),
     )
@@ -64,11 +59,21 @@ def choices_table(settings: Settings, cells: Cells) -> ResultTable:
         header,
         tuple(rows),
         method="Exact isolation: share of the samples under a fault of one sensor at which it alone is isolated. "
-        "False isolation: "
-        "share of the samples at which a healthy sensor is isolated though none is faulty, under model mismatch or a process "
-        "fault. The most robust has the largest product of exact isolation and of the share of samples without false isolation "
-        "in the worst mismatch case. Others may not differ beyond chance: see ranks. Healthy samples: as deployed, alarms that "
-        "last included.",
+        "False isolation: share of the samples at which a healthy sensor is isolated though none is faulty. Of the least false "
+        "isolation count only detectors that isolate. Others may not differ beyond chance: see ranks. Healthy samples: as "
+        f"deployed, alarms that last included. {cost_words(settings)}",
+    )
+
+
+def cost_words(settings: Settings) -> str:
+    """The loss in words."""
+    missed, false, late, wrong = (settings[name] for name in COSTS)
+    return (
+        f"Loss: {missed:g} times the share of a fault's samples at which the faulty sensor is not isolated, {false:g} times "
+        f"the share of the samples at which a healthy one is, {late:g} times the share of a fault before the first alarm. All "
+        f"kinds of conditions with the right model count alike, and all mismatch cases, where the model is wrong, {wrong:.0%} "
+        "of the time. A healthy sensor that is isolated is a good reading taken out, a technician sent to the wrong place, and "
+        f"what is really wrong goes on. Other weights: --set {' --set '.join(f'{name}=...' for name in COSTS)}."
     )
 
 
@@ -169,7 +174,7 @@ def ranks_table(plant: str, criteria: Mapping[str, Mapping[str, RankedDetector]]
     """Ranks of all detectors, shared where nothing differs, and the means behind them."""
     shown = {criterion: found for criterion, found in criteria.items() if any(s.mean.n for s in found.values())}
     detectors = list(next(iter(shown.values()), {}))
-    order = sorted(detectors, key=lambda d: sum(found[d].rank for found in shown.values()))
+    order = sorted(detectors, key=lambda d: shown[LOSS][d].mean.value if LOSS in shown else 0.0)
     counts = ", ".join(f"{next(iter(found.values())).mean.n} of {criterion}" for criterion, found in shown.items())
     header = ["detector"]
     rows: list[list[str | float | Interval]] = [[d] for d in order]
@@ -182,12 +187,12 @@ def ranks_table(plant: str, criteria: Mapping[str, Mapping[str, RankedDetector]]
         f"Ranks, {plant}",
         tuple(header),
         tuple(map(tuple, rows)),
-        method="1 + the number of detectors whose mean is larger beyond chance (random signs of paired differences "
-        "over clusters, "
+        method="1 + the number of detectors that are better beyond chance (random signs of paired differences over clusters, "
         "Holm's correction over all pairs, 5 %); a shared rank is no difference that this many runs show. Mean over clusters "
-        f"({counts}) and its 95 % interval: detection, of runs with an alarm; isolation, of samples with exact isolation; "
+        f"({counts}) and its 95 % interval: loss, see which to take; detection, of runs with an alarm; isolation, of samples "
+        "with exact isolation; "
         "accommodation, of -log10(error after over before); exoneration, of samples without false isolation under model "
-        "mismatch, process faults and missing readings, the three weighted alike. In the order of the sum of ranks.",
+        "mismatch, process faults and missing readings, the three weighted alike. In the order of the loss.",
     )
 
 

@@ -11,13 +11,15 @@ import numpy as np
 
 from fusion_sfdia.report.content import Figure, Summary
 from fusion_sfdia.report.results import Row
-from fusion_sfdia.study.comparison.cell import ComparisonCell
+from fusion_sfdia.study.comparison.cell import ComparisonCell, mean
 from fusion_sfdia.study.comparison.chapters import plant_chapter, words_chapter
 from fusion_sfdia.study.comparison.conclusions import absent, findings, left_out, remarks
 from fusion_sfdia.study.comparison.figures import Cells, draw_overview, of_plant
+from fusion_sfdia.study.comparison.loss import loss_parts
+from fusion_sfdia.study.comparison.loss_figure import loss_figure
 from fusion_sfdia.study.comparison.metric_rows import SCENARIO, best_isolation, glance, rows_of_cell
 from fusion_sfdia.study.comparison.opening import opening
-from fusion_sfdia.study.comparison.ranking import CRITERIA, SHARES, clusters, ranking
+from fusion_sfdia.study.comparison.ranking import CRITERIA, RankedDetector, ranking
 from fusion_sfdia.study.comparison.result_tables import EVERY, Standings, choices_table, ranks_table, standing_rows
 from fusion_sfdia.study.comparison.subjects import Subjects
 from fusion_sfdia.study.experiments.scenario import Arrays, Settings, Task
@@ -30,25 +32,29 @@ def summarise(subjects: Subjects, settings: Settings, results: list[tuple[Task, 
         why = "; ".join(reasons.values()) or "every piece of work failed"
         return Summary((), remarks=[f"Nothing could run: {why}."])
     whole = complete(cells)
-    standings = standings_of(whole)
+    standings = standings_of(whole, settings)
     rows = [row for cell in cells.values() for row in rows_of_cell(cell)]
     published = [row for row in rows if row.published is not None]
     for plant, criterion, detector, standing in standing_rows(standings):
         rows.append(Row(SCENARIO, plant, detector, "ranked", criterion, "score", *standing.mean))
         rows.append(Row(SCENARIO, plant, detector, "ranked", criterion, "rank", float(standing.rank), n=standing.mean.n))
+    for (plant, detector), cell in whole.items():
+        for part, values in loss_parts(cell, settings).items():
+            rows.append(Row(SCENARIO, plant, detector, "ranked", part, "loss_part", *mean(values)))
     first, *more = [
         plant_chapter(settings, of_plant(cells, plant), standings.get(plant, {}), of_plant(reasons, plant), published)
         for plant in dict.fromkeys(p for p, _ in cells)
     ]
     example, *figures = first.figures  # that of the first plant stands at the top
+    ranked = [loss_figure(settings, whole, standings)] if whole else []
     words = words_chapter([subjects.detector(d) for d in dict.fromkeys(d for _, d in cells)])
-    tables = (choices_table(settings, cells), ranks_table(EVERY, standings.get(EVERY, {})))
+    tables = (choices_table(settings, cells, standings), ranks_table(EVERY, standings.get(EVERY, {})))
     return Summary(
         rows=rows,
-        figures=[overview(settings, cells), example],
+        figures=[*ranked, overview(settings, cells), example],
         tables=[table for table in tables if table.rows],
         highlights=opening(settings, cells, standings),
-        remarks=[*findings(settings, cells, standings), *left_out(cells, whole), *absent(settings, cells, reasons)],
+        remarks=[*findings(settings, cells), *left_out(cells, whole), *absent(settings, cells, reasons)],
         chapters=[replace(first, figures=figures), *more, words],
         method=remarks(settings, cells),
     )
@@ -82,18 +88,18 @@ def complete(cells: Mapping[tuple[str, str], ComparisonCell]) -> dict[tuple[str,
     return {key: cell for key, cell in cells.items() if len(cell.seeds) == len(everyone)}
 
 
-def standings_of(cells: Cells) -> Standings:
+def standings_of(cells: Cells, settings: Settings) -> Standings:
     """Ranks on each plant, and over all plants of those detectors that run on every one of several."""
     plants = list(dict.fromkeys(plant for plant, _ in cells))
-    found = {p: {c: ranking(clusters(of_plant(cells, p), c), shares=c in SHARES) for c in CRITERIA} for p in plants}
     common = [d for d in dict.fromkeys(d for _, d in cells) if all((p, d) in cells for p in plants)]
-    if len(plants) > 1 and common:
-        found[EVERY] = {
-            c: ranking(
-                {d: np.concatenate([clusters({d: cells[p, d]}, c)[d] for p in plants]) for d in common}, shares=c in SHARES
-            )
-            for c in CRITERIA
-        }
+    found: dict[str, dict[str, dict[str, RankedDetector]]] = {}
+    for name, criterion in CRITERIA.items():
+        values = {key: criterion.values(cell, settings) for key, cell in cells.items()}
+        compared = {plant: of_plant(values, plant) for plant in plants}
+        if len(plants) > 1 and common:
+            compared[EVERY] = {d: np.concatenate([values[p, d] for p in plants]) for d in common}
+        for plant, of_each in compared.items():
+            found.setdefault(plant, {})[name] = ranking(of_each, less=criterion.less, bounds=criterion.bounds)
     return found
 
 

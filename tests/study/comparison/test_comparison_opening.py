@@ -7,68 +7,73 @@ import pytest
 from made_up_cell import SETTINGS_HERE, cell, made_up
 
 from fusion_sfdia.common.run_statistics import Estimate
+from fusion_sfdia.study.comparison.cell import ComparisonCell
 from fusion_sfdia.study.comparison.chapters import extremes
 from fusion_sfdia.study.comparison.conclusions import MOST_LISTED, false_isolations
+from fusion_sfdia.study.comparison.loss import loss
 from fusion_sfdia.study.comparison.opening import advised, decided, opening, percent
 from fusion_sfdia.study.comparison.ranking import RankedDetector
 from fusion_sfdia.study.comparison.result_tables import EVERY, choices_table
+from fusion_sfdia.study.comparison.summary import standings_of
 
 NONE = np.zeros((12, 2), int)
 
 
-def standings(**ranks: int) -> dict[str, RankedDetector]:
-    return {name.replace("_", "-"): RankedDetector(Estimate(0.5, 0.4, 0.6, 8), rank) for name, rank in ranks.items()}
+def ranked(cells: dict[str, ComparisonCell], **ranks: int) -> dict[str, RankedDetector]:
+    """The standings by loss; ranks: where they are not 1 for the least and 2 for the others."""
+    losses = {d: float(loss(c, SETTINGS_HERE).mean()) for d, c in cells.items()}
+    least = min(losses.values())
+    return {d: RankedDetector(Estimate(v, v, v, 8), ranks.get(d, 1 if v == least else 2)) for d, v in losses.items()}
 
 
-def test_the_advice_names_the_detector_its_faults_and_the_more_robust_one() -> None:
+def two() -> dict[str, ComparisonCell]:
     fewer = np.where(np.arange(12)[:, None] == 2, [[1, 1]], cell()["exact"])
-    cells = {"first": cell(), "second": cell(exact=fewer, falsely_isolated=NONE)}
-    assert advised(SETTINGS_HERE, cells, standings(first=1, second=2)) == (
-        "two-tanks: use first: no other detector isolates better; under a fault of 10 sigma it isolates "
-        "exactly the faulty sensor in 44 % of the samples. "
-        "With a wrong model (inflow) first isolates a healthy sensor in 62 % of the samples; second in 0 %, and the faulty one "
-        "in 31 %. It attributes a process fault (leak) to a sensor in 12 % of the samples."
+    return {"first": cell(), "second": cell(exact=fewer, falsely_isolated=NONE)}
+
+
+def test_the_advice_names_the_least_loss_and_what_is_better_elsewhere() -> None:
+    assert advised(SETTINGS_HERE, two(), ranked(two())) == (
+        "two-tanks: second costs least, 0.33. With the right model second isolates exactly the faulty sensor in 31 % of the "
+        "samples of a fault of 10 sigma; most exact is first, 44 %."
     )
-    alone = advised(SETTINGS_HERE, {"second": cells["second"]}, {})
-    assert alone == (
-        "two-tanks: use second: no other detector isolates better; under a fault of 10 sigma it isolates "
-        "exactly the faulty sensor in 31 % of the samples."
+    alone = {"first": cell()}
+    assert advised(SETTINGS_HERE, alone, ranked(alone)) == (
+        "two-tanks: first costs least, 0.85. With the right model first isolates exactly the faulty sensor in 44 % of the "
+        "samples of a fault of 10 sigma. Under a wrong model (inflow) it isolates a healthy sensor in 62 % of the samples. "
+        "Under a process fault (leak) it isolates a healthy sensor in 12 % of the samples."
     )
 
 
-def test_only_what_nothing_beats_is_advised_and_its_equals_are_named() -> None:
-    fewer = np.where(np.arange(12)[:, None] == 2, [[1, 1]], cell()["exact"])
-    cells = {"most": cell(), "fewer": cell(exact=fewer), "equal": cell(exact=fewer)}
-    assert advised(SETTINGS_HERE, cells, standings(most=2, fewer=1, equal=1)).startswith(
-        "two-tanks: use fewer: no other detector isolates better (as good: equal); "
-    )
-    many = {f"d{k}": cell() for k in range(6)}
-    last = cell(exact=fewer)
-    assert advised(SETTINGS_HERE, {**many, "last": last}, standings(**dict.fromkeys(many, 1), last=2)).startswith(
-        "two-tanks: use d0: no other detector isolates better; "
-    )
+def test_the_advice_states_for_which_models_another_costs_less() -> None:
+    """The other isolates no faulty sensor, but no healthy one either where the model is wrong."""
+    wrong = (cell()["mismatch"] != "")[:, None] & np.ones((1, 2), bool)
+    cells = {"keen": cell(falsely_isolated=np.where(wrong, 4, 0)), "idle": cell(right=NONE, falsely_isolated=NONE)}
+    found = advised(SETTINGS_HERE | {"wrong_model_share": 0.0}, cells, {
+        "keen": RankedDetector(Estimate(0.1, 0.1, 0.1, 8), 1), "idle": RankedDetector(Estimate(0.2, 0.2, 0.2, 8), 2),
+    })  # fmt: skip
+    assert found.startswith("two-tanks: keen costs least, 0.10. idle would cost less if the model were wrong above ")
 
 
-def test_where_no_difference_is_significant_the_two_highest_are_stated() -> None:
-    fewer = np.where(np.arange(12)[:, None] == 2, [[1, 1]], cell()["exact"])
-    cells = {"least": cell(exact=NONE), "second": cell(exact=fewer), "first": cell()}
-    found = advised(SETTINGS_HERE, cells, standings(least=1, second=1, first=1))
-    assert found.startswith(
-        "two-tanks: no detector isolates significantly better than another; first and second have the highest values: "
-        "under a fault of 10 sigma they isolate exactly the faulty sensor in 44 % and 31 % of the samples. "
-        "With a wrong model (inflow) first isolates"
+def test_what_is_no_worse_beyond_chance_is_named() -> None:
+    cells = two() | {"third": cell()}
+    assert "0.33 (no worse beyond chance: first). With" in advised(SETTINGS_HERE, cells, ranked(cells, first=1))
+    assert "(no worse beyond chance: first, third). No other is worse" in advised(
+        SETTINGS_HERE, cells, ranked(cells, first=1, third=1)
     )
+    many = {f"d{k}": cell() for k in range(6)} | {"last": cell(falsely_isolated=np.full((12, 2), 4))}
+    assert "d0 costs least, 0.85. With" in advised(SETTINGS_HERE, many, ranked(many))
 
 
 def test_without_mismatch_cases_the_report_states_that_they_are_not_tried() -> None:
     kept = cell()["mismatch"] == ""
     nominal = cell(**{name: v[kept] for name, v in made_up().items() if v.ndim and len(v) == kept.size})
-    assert "of the samples. Model mismatch not tried. It attributes a process fault" in advised(
-        SETTINGS_HERE, {"d": nominal}, {}
+    assert "10 sigma. Model mismatch not tried. Under a process fault" in advised(
+        SETTINGS_HERE, {"d": nominal}, ranked({"d": nominal})
     )
-    assert "not tried" not in advised(SETTINGS_HERE, {"d": cell()}, {})
-    [row] = choices_table(SETTINGS_HERE, {("two-tanks", "d"): nominal}).rows
-    assert row[1] == "most exact isolation; model mismatch not tried"
+    assert "not tried" not in advised(SETTINGS_HERE, {"d": cell()}, ranked({"d": cell()}))
+    cells = {("two-tanks", "d"): nominal}
+    [row] = choices_table(SETTINGS_HERE, cells, standings_of(cells, SETTINGS_HERE)).rows
+    assert row[2] == "least loss, most exact isolation"
 
 
 def test_a_single_detector_has_one_value_and_several_a_range() -> None:
@@ -77,14 +82,16 @@ def test_a_single_detector_has_one_value_and_several_a_range() -> None:
 
 
 def test_where_nothing_isolates_nothing_is_advised() -> None:
-    assert advised(SETTINGS_HERE, {"none": cell(exact=NONE)}, {}) == ""
-    assert opening(SETTINGS_HERE, {("two-tanks", "none"): cell(exact=NONE)}, {}) == []
+    cells = {("two-tanks", "none"): cell(exact=NONE)}
+    assert opening(SETTINGS_HERE, cells, {}) == []
+    assert len(opening(SETTINGS_HERE, cells, standings_of(cells, SETTINGS_HERE))) == 1  # how many pairs differ
 
 
 def test_ranks_count_the_pairs_that_differ() -> None:
-    criteria = {"detection": standings(a=1, b=1, c=2), "isolation": standings(a=1, b=2, c=3)}
+    cells = {name: cell() for name in "abc"}
+    criteria = {"loss": ranked(cells, a=1, b=2, c=3)}
     assert decided({"tanks": criteria, EVERY: criteria}) == (
-        "Pairs of detectors that differ significantly, in detection and in isolation: tanks 1 and 3 of 3."
+        "Pairs of detectors whose losses differ beyond chance: tanks 3 of 3."
     )
     assert decided({}) == ""
 

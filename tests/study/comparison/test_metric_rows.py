@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.common.run_statistics import Estimate, proportion, rate_over_runs
 from fusion_sfdia.study.comparison import metric_rows as rows
+from fusion_sfdia.study.comparison import ranking
 from fusion_sfdia.study.comparison.cell import ComparisonCell, widened, within
 from fusion_sfdia.study.comparison.metric_rows import confusion, rows_of_cell, share_right
-from fusion_sfdia.study.comparison.ranking import accommodation, clusters, detection, exoneration, isolation
+from fusion_sfdia.study.comparison.ranking import accommodation, detection, exoneration, isolation
 from fusion_sfdia.study.comparison.records import BranchReadings, KeptDecisions, record
 from fusion_sfdia.study.comparison.subjects import Subjects, plant_of
 from fusion_sfdia.study.comparison.summary import complete, gather
@@ -218,7 +219,7 @@ def test_clusters_of_a_ranking_by_hand() -> None:
     assert set(found["exoneration"]) == {"dropout", "process", "mismatch"}
     assert found["exoneration"]["dropout"] == [1.0, 0.5] and found["exoneration"]["process"] == [0.75, 1.0]
     assert found["exoneration"]["mismatch"] == pytest.approx([1 - (0 + 1 + 2) / 12, 1 - (2 + 0 + 3) / 12])
-    both = clusters({"a": of}, "detection")["a"]
+    both = ranking.CRITERIA["detection"].values(of, SETTINGS_HERE)
     assert both.tolist() == [1.0, 0.5, 0.5, 0.5]
 
 

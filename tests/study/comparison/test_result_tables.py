@@ -3,31 +3,32 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from made_up_cell import SETTINGS_HERE, cell
 
 from fusion_sfdia.common.run_statistics import Estimate
 from fusion_sfdia.report.results import Row
 from fusion_sfdia.study.comparison import result_tables as tables
+from fusion_sfdia.study.comparison.loss import loss
 from fusion_sfdia.study.comparison.ranking import RankedDetector
+from fusion_sfdia.study.comparison.summary import standings_of
 
 
-def test_the_choice_is_by_exact_isolation_and_by_robustness() -> None:
+def test_the_choices_are_by_loss_by_exact_isolation_and_by_false_isolation() -> None:
     """Exact in 7 of 16 samples, false isolation in 5 of 8 at worst; the other is exact in 5 of 16 without false isolation."""
     first = cell()
     fewer = np.where(np.arange(12)[:, None] == 2, [[1, 1]], first["exact"])
     second = cell(exact=fewer, falsely_isolated=np.zeros((12, 2), int))
     cells = {("two-tanks", "first"): first, ("two-tanks", "second"): second}
-    found = tables.choices_table(SETTINGS_HERE, cells)
+    found = tables.choices_table(SETTINGS_HERE, cells, standings_of(cells, SETTINGS_HERE))
     assert [row[:3] for row in found.rows] == [
-        ("two-tanks", "most exact isolation", "first"),
-        ("two-tanks", "most robust to mismatch", "second"),
+        ("two-tanks", "second", "least loss, least false isolation with a wrong model"),
+        ("two-tanks", "first", "most exact isolation"),
     ]
-    assert [row[4][0] for row in found.rows] == [7 / 16, 5 / 16]  # type: ignore[index]
-    assert [row[5][0] for row in found.rows] == [5 / 8, 0.0]  # type: ignore[index]
-    assert [row[6] for row in found.rows] == ["inflow", "outlets"] and [row[8] for row in found.rows] == ["leak", "leak"]
-    assert tables.robustness(SETTINGS_HERE, first) == 7 / 16 * 3 / 8
-    [only] = tables.choices_table(SETTINGS_HERE, {("two-tanks", "first"): first}).rows
-    assert only[1] == "most exact isolation, with mismatch too"
+    assert [row[3][0] for row in found.rows] == pytest.approx([loss(c, SETTINGS_HERE).mean() for c in (second, first)])  # type: ignore[index]
+    assert [row[4][0] for row in found.rows] == [5 / 16, 7 / 16]  # type: ignore[index]
+    assert [row[5][0] for row in found.rows] == [0.0, 5 / 8]  # type: ignore[index]
+    assert [row[6] for row in found.rows] == ["outlets", "inflow"] and [row[8] for row in found.rows] == ["leak", "leak"]
 
 
 def test_numbers_have_a_column_a_measure_and_the_claim() -> None:
@@ -81,18 +82,22 @@ def standing(value: float, rank: int) -> RankedDetector:
     return RankedDetector(Estimate(value, value - 0.1, value + 0.1, 6), rank)
 
 
-def test_ranks_are_in_the_order_of_their_sum() -> None:
+def test_ranks_are_in_the_order_of_the_loss() -> None:
     criteria = {
+        "loss": {"a": standing(0.4, 1), "b": standing(0.3, 1)},
         "detection": {"a": standing(0.4, 2), "b": standing(0.9, 1)},
         "isolation": {"a": standing(0.3, 2), "b": standing(0.3, 2)},
         "accommodation": {name: RankedDetector(Estimate(np.nan, np.nan, np.nan, 0), 1) for name in "ab"},
     }
     found = tables.ranks_table("all plants", criteria)
-    assert found.header == ("detector", "detection: rank", "mean of detection", "isolation: rank", "mean of isolation")
-    assert [row[:2] for row in found.rows] == [("b", 1), ("a", 2)] and "6 of detection, 6 of isolation" in found.method
+    assert found.header == (
+        *("detector", "loss: rank", "mean of loss", "detection: rank", "mean of detection", "isolation: rank"),
+        "mean of isolation",
+    )
+    assert [(row[0], row[3]) for row in found.rows] == [("b", 1), ("a", 2)] and "6 of detection, 6 of isolation" in found.method
     assert tables.ranks_table("none", {}).rows == ()
-    assert [row[:3] for row in tables.standing_rows({"p": criteria})][:3] == [
-        ("p", "detection", "a"), ("p", "detection", "b"), ("p", "isolation", "a"),
+    assert [row[:3] for row in tables.standing_rows({"p": criteria})][:5] == [
+        ("p", "loss", "a"), ("p", "loss", "b"), ("p", "detection", "a"), ("p", "detection", "b"), ("p", "isolation", "a"),
     ]  # fmt: skip
 
 
