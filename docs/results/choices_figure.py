@@ -5,8 +5,6 @@ The file ends with a digest of the numbers that it shows, by which a test notice
 
 from __future__ import annotations
 
-import hashlib
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -35,11 +33,6 @@ def numbers(rows: Sequence[comparison.Row]) -> Numbers:
     return found
 
 
-def mark(found: Numbers) -> str:
-    """The last line of the file: a digest of the numbers."""
-    return f"<!-- numbers: {hashlib.sha256(json.dumps(found).encode()).hexdigest()} -->\n"
-
-
 def draw(found: Numbers) -> Figure:
     """A panel a measure, a row a detector, a marker a plant."""
     figure = Figure(figsize=(10.0, 3.6), layout="constrained", facecolor="white")
@@ -65,7 +58,7 @@ def draw(found: Numbers) -> Figure:
 def main() -> None:
     """Write the figure."""
     found = numbers(comparison.load(HERE / "comparison.csv"))
-    FILE.write_text(figure_svg("choices", lambda: draw(found)) + mark(found), encoding="utf-8")
+    FILE.write_text(figure_svg("choices", lambda: draw(found)) + comparison.mark(found), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -6,13 +6,15 @@ The page holds what comparison.csv holds, which is the part of metrics.csv that 
 from __future__ import annotations
 
 import csv
+import hashlib
+import json
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.report.figure_files import figure_svg
-from fusion_sfdia.study.comparison.loss_figure import draw_loss
+from fusion_sfdia.study.comparison.loss_figure import Losses, draw_loss
 from fusion_sfdia.study.comparison.protocol import COSTS
 from fusion_sfdia.study.comparison.result_tables import cost_words
 
@@ -210,8 +212,13 @@ def claims(index: Index, detectors: Sequence[str]) -> str:
     )
 
 
-def loss_svg(rows: Sequence[Row]) -> str:
-    """The figure of the losses."""
+def mark(numbers: object) -> str:
+    """The last line of a figure's file: a digest of its numbers, by which a test notices that it has to be drawn again."""
+    return f"<!-- numbers: {hashlib.sha256(json.dumps(numbers).encode()).hexdigest()} -->\n"
+
+
+def losses_of(rows: Sequence[Row]) -> tuple[Losses, dict[str, list[str]]]:
+    """The parts of the losses, and by plant the detectors that none beats beyond chance."""
     losses: dict[str, dict[str, dict[str, float]]] = {}
     best: dict[str, list[str]] = {plant: [] for plant in PLANTS}
     for row in rows:
@@ -220,7 +227,7 @@ def loss_svg(rows: Sequence[Row]) -> str:
             of[row["quantity"]] = float(row["value"])
         elif (row["metric"], row["quantity"], row["value"]) == ("rank", "loss", "1") and row["plant"] in best:
             best[row["plant"]].append(row["detector"])
-    return figure_svg("loss", lambda: draw_loss({plant: losses[plant] for plant in PLANTS}, best))
+    return {plant: losses[plant] for plant in PLANTS}, best
 
 
 def main(metrics: Path) -> None:
@@ -231,7 +238,8 @@ def main(metrics: Path) -> None:
         writer.writeheader()
         writer.writerows(rows)
     (HERE / "comparison.md").write_text(render(rows), encoding="utf-8")
-    (HERE / "loss.svg").write_text(loss_svg(rows), encoding="utf-8")
+    losses = losses_of(rows)
+    (HERE / "loss.svg").write_text(figure_svg("loss", lambda: draw_loss(*losses)) + mark(losses), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -15,7 +15,8 @@ TEXT = """- **Windowed tests detect more, whatever their rule.** With a CUSUM, a
 - **What each detector costs.** One loss weighs missed faults, false isolation and delay, half of the time with a wrong
   model ([weights and figure](comparison.md#loss)). The least, and those not worse beyond chance: {cheapest}. Over all plants
   `robust-glr` costs {robust_loss}, the next {next_loss}; part of the mismatch cases are of parameters that the plants declare
-  as uncertain, which it alone uses: [other errors](when-the-model-is-wrong.md) have a page of their own. First in isolation alone, pooled over the plants:
+  as uncertain, which it alone uses: [other errors](when-the-model-is-wrong.md) have a page of their own. First in isolation
+  alone, pooled over the plants:
   {first_isolation}; first in detection alone: {first_detection}.
 - **Without a model** `dynamic-pca` isolates faults of 10 sigma in {pca_exact} of the samples, where `loo-glr` does in
   {glr_exact}; on a plant at rest `limits-ewma` is as good as anything. In an operation that they have not learnt both

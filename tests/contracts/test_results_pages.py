@@ -25,6 +25,8 @@ def test_the_comparisons_page_is_that_of_its_numbers(folder: Path, pages: Module
     assert comparison.render(comparison.load(folder / "comparison.csv")) == (folder / "comparison.md").read_text(
         encoding="utf-8"
     )
+    losses = comparison.losses_of(comparison.load(folder / "comparison.csv"))
+    assert (folder / "loss.svg").read_text(encoding="utf-8").endswith(comparison.mark(losses)), "run docs/results/comparison.py"
 
 
 def test_every_table_of_a_page_is_that_of_its_numbers(root: Path, pages: ModuleType) -> None:
@@ -132,4 +134,6 @@ def test_the_picture_of_the_choices_is_of_the_numbers(folder: Path, monkeypatch:
     monkeypatch.syspath_prepend(str(folder))
     figure = importlib.import_module("choices_figure")
     numbers = figure.numbers(figure.comparison.load(folder / "comparison.csv"))
-    assert figure.FILE.read_text(encoding="utf-8").endswith(figure.mark(numbers)), "run docs/results/choices_figure.py"
+    assert figure.FILE.read_text(encoding="utf-8").endswith(figure.comparison.mark(numbers)), (
+        "run docs/results/choices_figure.py"
+    )
