@@ -16,7 +16,6 @@ from fusion_sfdia.detectors.registry import register_plant as register_plant
 from fusion_sfdia.detectors.saved_detectors import load_detector as load_detector
 from fusion_sfdia.detectors.saved_detectors import save_detector as save_detector
 from fusion_sfdia.diagnoser import Diagnoser as Diagnoser
-from fusion_sfdia.diagnoser import Result as Result
 from fusion_sfdia.diagnoser import detector as detector
 from fusion_sfdia.diagnoser import diagnose as diagnose
 from fusion_sfdia.diagnosis.diagnose import Diagnosis as Diagnosis
@@ -38,6 +37,7 @@ from fusion_sfdia.plant.signals import Sensor as Sensor
 from fusion_sfdia.plant.signals import Signal as Signal
 from fusion_sfdia.plant.uncertainty import Parameter as Parameter
 from fusion_sfdia.plant.uncertainty import Uncertainty as Uncertainty
+from fusion_sfdia.report.result import Result as Result
 from fusion_sfdia.study.audit import audit as audit
 from fusion_sfdia.study.comparison.compare import compare as compare
 from fusion_sfdia.study.detection_metrics import roc as roc

@@ -2,70 +2,30 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from fusion_sfdia.common.rate import Rate
+from fusion_sfdia.common.warned import warn
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.detectors.detector import OWN_CLASS, Detector
 from fusion_sfdia.detectors.saved_detectors import save_detector
-from fusion_sfdia.diagnosis.diagnose import SECONDS, Diagnosis, present
+from fusion_sfdia.diagnosis.diagnose import SECONDS
 from fusion_sfdia.diagnosis.prepared import prepared
 from fusion_sfdia.diagnosis.watch import Watch
 from fusion_sfdia.learning.builders import fit
 from fusion_sfdia.logs.check import checked
-from fusion_sfdia.logs.columns import Source
 from fusion_sfdia.logs.frames import is_frame
 from fusion_sfdia.logs.loaded_log import MISREAD, LoadedLog
 from fusion_sfdia.logs.log_forms import as_log
 from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.logs.reading import load_log
-from fusion_sfdia.plant.log import Log, one_run
+from fusion_sfdia.plant.log import one_run
 from fusion_sfdia.plant.plant import Plant
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-
-@dataclass(frozen=True, repr=False, kw_only=True)
-class Result(Diagnosis):
-    """A Diagnosis with the readings it was made from.
-
-    plant: of the detector. detector: its name. log: as it was judged. columns: of the file or frame, whose tags and units
-    `plot` and `report` show. source: name of the file, for the report.
-    """
-
-    plant: Plant
-    detector: str
-    log: Log
-    columns: tuple[Source, ...] = ()
-    source: str = "a log"
-
-    def plot(self) -> Figure:
-        """Readings and reconstructions of the sensors with events, without any of the first sensor, as a matplotlib Figure."""
-        from fusion_sfdia.report.log_report import draw
-
-        return draw(*self._shown())
-
-    def report(self, path: str | Path) -> Path:
-        """Write the report as one HTML file, whole or not at all, and return its path; ValueError for another suffix."""
-        from fusion_sfdia.report.log_page import About, write_page
-
-        if (path := Path(path)).suffix != ".html":
-            raise ValueError(f"report: {path} has another suffix; expected a file that ends in .html")
-        write_page(path, *self._shown(), About(self.source, self.detector))
-        return path
-
-    def _shown(self) -> tuple[Plant, Any, Diagnosis]:
-        """Plant, readings and diagnosis in the tags and units of the log."""
-        from fusion_sfdia.report.log_units import LogUnits
-
-        units, y = LogUnits(self.plant, self.columns), present(self.log.y, self.decisions)
-        return units.plant, units.readings(y), units.diagnosis(self)
+from fusion_sfdia.report.result import Result
 
 
 @dataclass(frozen=True, repr=False)
@@ -124,8 +84,7 @@ class Diagnoser:
             one = LoadedLog(one_run(as_log(self.plant, *data)), SECONDS, ())
         build = None if self.fitted or self.build is None else partial(registry.detector, self.build)
         found, log = prepared(self.detector, one, build).diagnose(gap=gap)
-        own = {f.name: getattr(found, f.name) for f in fields(found)}
-        return Result(**own, plant=self.plant, detector=self.name, log=log, columns=one.columns, source=source)
+        return Result.of(found, plant=self.plant, detector=self.name, log=log, columns=one.columns, source=source)
 
     def stream(self, **settings: Any) -> Watch:
         """The detector over rows as they come, see `Watch` for the settings; `Watch.update` takes a row.
@@ -144,7 +103,7 @@ def _loaded(plant: Plant, given: Any, log_map: LogMap | str | Path | None, what:
     if isinstance(given, str | Path) or is_frame(given):
         loaded = load_log(given, plant, log_map)
         for remark in loaded.brief:
-            warnings.warn(f"{what}{remark}", stacklevel=3)
+            warn(f"{what}{remark}")
         return loaded
     if log_map is not None:
         raise ValueError("log_map states how a file or a frame is written; expected one of them, or no log_map")

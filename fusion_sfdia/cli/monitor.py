@@ -116,11 +116,11 @@ def monitored(chosen: argparse.Namespace, out: Path, learnt: Any, say: Any) -> i
         data = monitor.read(chosen.data, chosen.map, absent_sensors=chosen.absent_sensors)
         say(f"{chosen.data}:\n{indent(str(data), '  ')}")
         with printed_warnings(), working("diagnosing"):
-            found, log = monitor.diagnose(data), monitor.on_grid(data.log)
-        of_log = LogUnits(monitor.plant, data.columns)
-        about = About(chosen.data.name, "the monitor", basis="judged by healthy logs, without a model")
+            found = monitor.diagnose(data)
+        of_log = LogUnits(found.plant, data.columns)
+        about = About(chosen.data.name, found.detector, basis=found.basis)
         with all_or_none(out, instead_of=OF_BEFORE) as new:
-            write_diagnosis(new, monitor.plant, log.y, log.u, found, about, of_log, suffix)
+            write_diagnosis(new, found.plant, found.log.y, found.log.u, found, about, of_log, suffix)
             with atomic_write(new / OWN_FILE) as file:
                 file.write(plain(f"{monitor}\n\n{found}\n"))
     say(f"{as_text(of_log.diagnosis(found), about.detector)}\n{', '.join((OWN_FILE, *files(suffix)))}: in {out}")

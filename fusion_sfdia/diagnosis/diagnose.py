@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
@@ -15,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.common.errors import MissingPackageError
 from fusion_sfdia.common.html import as_html
+from fusion_sfdia.common.warned import warn
 from fusion_sfdia.detectors.detector import Decision, Detector, ProcessHypothesis, chosen, joined, stack
 from fusion_sfdia.detectors.verdicts import ALL_FAR, NO_THRESHOLDS, TOO_MANY, Conclusion, Verdict, far_off, judged, undecidable
 from fusion_sfdia.diagnosis.absent import beyond_resolution, repeats
@@ -458,4 +458,4 @@ def _warn(
         if np.any(flags):
             remarks.append(f"the estimate {what} in {np.sum(flags)} of {t.size} samples, first at {first(flags)}; {cure}")
     for remark in remarks:
-        warnings.warn(remark, DiagnosisWarning, stacklevel=6)  # the caller of diagnose
+        warn(remark, DiagnosisWarning)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import floats, number, require_names, whole
 from fusion_sfdia.common.clock import Clock
+from fusion_sfdia.common.warned import warn
 from fusion_sfdia.detectors.detector import Decision, Detector
 from fusion_sfdia.detectors.state import State
 from fusion_sfdia.detectors.storage import (
@@ -76,7 +77,7 @@ class Sample(NamedTuple):
 
 
 def _warn(remark: str) -> None:
-    warnings.warn(remark, WatchWarning, stacklevel=5)
+    warn(remark, WatchWarning)
 
 
 class Watch:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.common.arguments import floats
 from fusion_sfdia.common.files import atomic_write
 from fusion_sfdia.common.plain_text import cell, plain
+from fusion_sfdia.common.warned import warn
 from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.logs.plain import plain_lines
 from fusion_sfdia.logs.reading import load_log
@@ -74,5 +74,5 @@ def read_log(
     )
     for finding in found.findings:
         if finding.kind == "nominal inputs":
-            warnings.warn(f"{path}: {finding.text}", stacklevel=2)
+            warn(f"{path}: {finding.text}")
     return found.log

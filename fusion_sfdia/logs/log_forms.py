@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import floats, shown, some
+from fusion_sfdia.common.warned import warn
 from fusion_sfdia.logs.frames import as_pandas, is_frame
 from fusion_sfdia.logs.reading import load_log
 from fusion_sfdia.plant.log import Log, require_same_names
@@ -71,7 +71,7 @@ def _of_frame(plant: Plant, frame: Any, absent: bool, other: bool, nominal: bool
     found = load_log(frame, plant, absent_sensors=absent, other_columns=other, nominal_inputs=nominal)
     for finding in found.findings:
         if finding.kind == "nominal inputs":
-            warnings.warn(f"the frame: {finding.text}", stacklevel=3)
+            warn(f"the frame: {finding.text}")
     return found.log
 
 

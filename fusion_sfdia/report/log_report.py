@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import warnings
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.common.files import all_or_none, atomic_write, locked
 from fusion_sfdia.common.plain_text import cell, plain
+from fusion_sfdia.common.warned import warn
 from fusion_sfdia.detectors.detector import Detector
 from fusion_sfdia.detectors.storage import require_detector
 from fusion_sfdia.detectors.verdicts import Verdict
@@ -78,7 +78,7 @@ def diagnose_log(
     with nullcontext() if held else locked(out, force=force):
         loaded = check_log(data, plant, log_map, **given) if read is None else read
         for remark in loaded.brief:
-            warnings.warn(f"{data}: {remark}", stacklevel=2)
+            warn(f"{data}: {remark}")
         judged = prepared(detector, loaded, build)
         try:
             found, log = judged.diagnose(each=progress)

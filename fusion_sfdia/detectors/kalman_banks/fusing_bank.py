@@ -22,7 +22,6 @@ The paper names three extensions as future work: several faults at once (`max_fa
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Self
@@ -34,6 +33,7 @@ from fusion_sfdia.common.alike import repeated, single
 from fusion_sfdia.common.arguments import floats, shown, whole
 from fusion_sfdia.common.errors import NotApplicableError
 from fusion_sfdia.common.order_statistics import order_statistic
+from fusion_sfdia.common.warned import warn
 from fusion_sfdia.detectors.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.detectors.detector import Decision, run
 from fusion_sfdia.detectors.health import broken
@@ -171,10 +171,9 @@ class FusingBank(BatchDetector):
     def init(self, batch: int | tuple[int, ...] = (), t: float = 0.0, seed: int = 0) -> State:
         """As of every detector; with a UserWarning where there are no thresholds."""
         if self.thresholds is None:
-            warnings.warn(
+            warn(
                 "FusingBank has no thresholds and will never raise an alarm; set them with fit_thresholds(healthy), "
-                "or thresholds=(inf,) * N where no alarm is expected",
-                stacklevel=2,
+                "or thresholds=(inf,) * N where no alarm is expected"
             )
         return super().init(batch, t, seed)
 

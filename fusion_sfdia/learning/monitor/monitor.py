@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.common.rate import Rate, lasting
 from fusion_sfdia.detectors.storage import read_arrays, write_arrays
-from fusion_sfdia.diagnosis.diagnose import Diagnosis
 from fusion_sfdia.diagnosis.events import with_unit
 from fusion_sfdia.diagnosis.watch import Watch
 from fusion_sfdia.learning.monitor.causes import OK
@@ -31,6 +30,7 @@ from fusion_sfdia.plant.gaps import LONG, SKIPPED
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.signals import Signal
+from fusion_sfdia.report.result import Result
 
 Array = NDArray[Any]
 
@@ -42,6 +42,7 @@ AT_ONCE = 4096  # rows: of more, a log is judged in parts
 CHANGED = 1.25  # factor of a limit that is worth a line
 FEWEST, CLOSEST = 20, 0.1  # rows of a log from which on its step is judged, by this quantile of their distances
 VERSION = 2
+NAME, BASIS = "the monitor", "judged by healthy logs, without a model"
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +152,7 @@ class Monitor:
         """The signals as a plant that does nothing, for reports; sigma: the deviation of the readings when healthy."""
         return plant_of(self.channels, self.dt)
 
-    def on_grid(self, log: Log) -> Log:
+    def _on_grid(self, log: Log) -> Log:
         """A log of one run with its rows as they are judged, y (K, N) and u (K, m), NaN where there is no reading."""
         return _as_log(pieces_of(self._fitting(log), self.dt), len(self.channels.sensors))
 
@@ -180,18 +181,22 @@ class Monitor:
         """
         return load(source, self.channels.sensors, self.channels.inputs, _map(log_map), absent_sensors=absent_sensors)
 
-    def diagnose(self, log: Any, clock: Clock = SECONDS, *, log_map: LogMap | str | Path | None = None) -> Diagnosis:
+    def diagnose(self, log: Any, clock: Clock = SECONDS, *, log_map: LogMap | str | Path | None = None) -> Result:
         """Diagnose a log of one run: a file, a pandas frame, what `read` gave, or a Log, y (K, N) and u (K, m) of all sensors
         and inputs, NaN where missing. clock: of a Log. log_map: how a file is written.
         """
-        if isinstance(log, LoadedLog):
-            log, clock = log.log, log.clock
-        elif not isinstance(log, Log):
-            log, clock, *_ = self.read(log, log_map)
-        found = self.judge(log)
-        rows = sum(len(v.t) for v in found)
+        source = Path(log).name if isinstance(log, str | Path) else "a log"
+        if isinstance(log, Log):
+            log = LoadedLog(log, clock, ())
+        elif not isinstance(log, LoadedLog):
+            log = self.read(log, log_map)
+        verdicts = self.judge(log.log)
+        rows = sum(len(v.t) for v in verdicts)
         expected = f"without a fault some {self.learnt.limits.rate[0] * rows:.2g} of these {rows} rows would be in alarm"
-        return diagnosed(self.channels, self.dt, found, (self.promise, expected, *self.remarks), clock)
+        found = diagnosed(self.channels, self.dt, verdicts, (self.promise, expected, *self.remarks), log.clock)
+        return Result.of(
+            found, plant=self.plant, detector=NAME, log=self._on_grid(log.log), columns=log.columns, source=source, basis=BASIS
+        )
 
     def judge(self, log: Log) -> list[Verdicts]:
         """The verdicts on a log, of its pieces between gaps of more than 60 rows."""

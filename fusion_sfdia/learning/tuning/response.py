@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import number, shown
+from fusion_sfdia.common.warned import warn
 from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
@@ -35,11 +35,10 @@ def warn_of_change(found: dict[str, Any], plant: Plant) -> None:
     kept = [number("response", value) for value in kept]
     pairs = zip(kept, _terms(plant) if kept else [], strict=False)
     if any(not abs(value - np.sum(terms)) <= SAME * np.sum(np.abs(terms)) for value, terms in pairs):
-        warnings.warn(
+        warn(
             f"the model of plant {plant.name!r} has changed since it was tuned: what was learnt and the thresholds may not "
             "hold; tune again",
             ModelChangedWarning,
-            stacklevel=3,
         )
 
 

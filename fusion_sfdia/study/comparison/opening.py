@@ -39,7 +39,7 @@ def advised(settings: Settings, cells: Mapping[str, ComparisonCell], ranked: Map
     equals = [d for d in ranked if d != name and ranked[d].rank == 1]
     equal = f" (no worse beyond chance: {', '.join(equals)})" if 0 < len(equals) <= MOST_EQUALS else ""
     many = " No other is worse beyond chance." if 1 < len(ranked) == len(equals) + 1 else ""
-    advice = [f"{cell.plant}: {name} costs least, {ranked[name].mean.value:.2f}{equal}.{many}"]
+    advice = [f"{cell.plant}: {name} has the least loss, {ranked[name].mean.value:.2f}{equal}.{many}"]
     for other, (low, high) in cheaper_elsewhere({d: cells[d] for d in ranked}, settings, name).items():
         where = (
             f"below {percent(high)}"
@@ -48,11 +48,11 @@ def advised(settings: Settings, cells: Mapping[str, ComparisonCell], ranked: Map
             if high == 1
             else f"from {percent(low)} to {percent(high)}"
         )
-        advice.append(f"{other} would cost less if the model were wrong {where} of the time.")
+        advice.append(f"{other} would have the least if the model were wrong {where} of the time.")
     most = max(exact, key=lambda d: np.nan_to_num(exact[d].value))
     more = f"; most exact is {most}, {percent(exact[most].value)}" if exact[most].value > exact[name].value else ""
     advice.append(
-        f"With the right model {name} isolates exactly the faulty sensor in {percent(exact[name].value)} of the samples of a "
+        f"With the right model it isolates exactly the faulty sensor in {percent(exact[name].value)} of the samples of a "
         f"fault of {large:g} sigma{more}."
     )
     if not any(c.mismatches for c in cells.values()):

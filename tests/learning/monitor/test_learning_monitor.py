@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import fusion_sfdia as sfdia
 from fusion_sfdia.detectors.verdicts import Verdict
 from fusion_sfdia.learning.monitor.causes import OK, RECORDER
 from fusion_sfdia.learning.monitor.channels import pieces_of, read
@@ -281,3 +282,13 @@ def test_a_log_of_other_columns_is_refused(monitor: Monitor) -> None:
     t, y, u = made(1)
     with pytest.raises(ValueError, match="give those of the healthy logs"):
         monitor.diagnose(Log(t, y[:, :3], u))
+
+
+def test_the_result_is_plotted_and_reported_as_that_of_a_detector(monitor: Monitor, tmp_path: Path) -> None:
+    t, y, u = made(21)
+    y[500:800, 2] += STEP
+    found = monitor.diagnose(Log(t, y, u))
+    assert isinstance(found, sfdia.Result) and found.log.y.shape == y.shape
+    assert [a.get_ylabel() for a in found.plot().axes]
+    page = found.report(tmp_path / "found.html").read_text(encoding="utf-8")
+    assert "By the monitor" in page and "Judged by healthy logs, without a model" in page and "s2" in page

@@ -72,7 +72,7 @@ def live(monitor: Monitor, log: Log) -> Decision:
 @pytest.mark.parametrize("name", [*LOGS, "runs"])
 def test_row_by_row_it_decides_as_on_the_whole_log(monitor: Monitor, of_runs: Monitor, name: str) -> None:
     of, log = (of_runs, faulty(41)) if name == "runs" else (monitor, LOGS[name])
-    whole, on_grid = of.diagnose(log).decisions, of.on_grid(log).t
+    whole, on_grid = of.diagnose(log).decisions, of.diagnose(log).log.t
     found = live(of, log)
     step = np.rint((log.t - log.t[0]) / DT)
     last = np.append(np.diff(step) > 0, True)  # of several rows at one step the last has them all

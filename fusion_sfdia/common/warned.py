@@ -1,0 +1,17 @@
+"""Warnings that point at the line of the user's code from which the package was called."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from pathlib import Path
+
+PACKAGE = str(Path(__file__).parents[1])
+
+
+def warn(text: str, category: type[Warning] = UserWarning) -> None:
+    """Warn of `text` at the nearest caller outside the package, or at the outermost one."""
+    frame, level = sys._getframe(1), 2
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(PACKAGE):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(text, category, stacklevel=level)
