@@ -71,8 +71,9 @@ def cost_words(settings: Settings) -> str:
     return (
         f"Loss: {missed:g} times the share of a fault's samples at which the faulty sensor is not isolated, {false:g} times "
         f"the share of the samples at which a healthy one is, {late:g} times the share of a fault before the first alarm. All "
-        f"kinds of conditions with the right model count alike, and all mismatch cases, where the model is wrong, {wrong:.0%} "
-        "of the time. A healthy sensor that is isolated is a good reading taken out, a technician sent to the wrong place, and "
+        "kinds of conditions with the right model count alike, and all mismatch cases, where the model is wrong, "
+        f"{100 * wrong:.0f} % of the time. A healthy sensor that is isolated is a good reading taken out, a technician sent to "
+        "the wrong place, and "
         f"what is really wrong goes on. Other weights: --set {' --set '.join(f'{name}=...' for name in COSTS)}."
     )
 
