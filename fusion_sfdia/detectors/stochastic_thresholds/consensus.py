@@ -109,15 +109,14 @@ def predict(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: f
     own = [_flat(a, batch, (count, n)) for a in of_areas]
     shared = [_flat(a, batch, (sides,)) for a in of_sides]
     covariance = _flat(now.covariance, batch, (count, n, n) if areas.partly_read else (count, 0, 0))
-    found = [*(np.empty(a[0].shape) for _ in range(4) for a in (own, shared)), np.empty(covariance.shape)]
-    found.append(np.empty((len(own[0]), count), bool))
+    known = Diagnosers._make([*(a for pair in zip(own, shared, strict=True) for a in pair), covariance])
+    found = Diagnosers._make(map(np.empty_like, known))
     none = np.empty((0, count, n)), np.empty((0, sides))
     equations.step_areas(
-        own[0], shared[0], own[1], shared[1], own[2], shared[2], own[3], shared[3], covariance,
-        _flat(reference, batch, (count,)), _flat(load, batch, (count,)), lam, mode == "paper", *areas.arrays(mode), 1.0, *none,
-        *found,
+        known, _flat(reference, batch, (count,)), _flat(load, batch, (count,)), lam, mode == "paper", areas.arrays(mode), 1.0,
+        *none, found, np.empty((len(own[0]), count), bool),
     )  # fmt: skip
-    after = Diagnosers._make(a.reshape(*batch, *a.shape[1:]) for a in found[:-1])
+    after = Diagnosers._make(a.reshape(*batch, *a.shape[1:]) for a in found)
     return Prediction(
         after.held, after.held_shared, after.deviation, after.deviation_shared, after.error_bound, after.error_bound_shared,
         after.covariance, after.residual,
@@ -143,10 +142,9 @@ def take(areas: Areas, predicted: Prediction, own: Array, shared: Array) -> Diag
     covariance = np.array(np.broadcast_to(predicted.covariance, (*batch, *predicted.covariance.shape[-3:])), order="C")
     after = Diagnosers._make([*(x for pair in zip(*kept, strict=True) for x in pair), covariance])
     if areas.partly_read:
-        a, shape = areas.arrays("corrected"), own.shape[-2:]
-        flat = [x.reshape(prod(batch), *x.shape[len(batch) :]) for x in after]
+        flat, shape = Diagnosers._make(x.reshape(prod(batch), *x.shape[len(batch) :]) for x in after), own.shape[-2:]
         given = _flat(own, batch, shape), _flat(predicted.ahead, batch, shape).copy()
-        equations.take_unread(a.noise, a.closed, a.received, a.start, a.opposite, *given, *flat)
+        equations.take_unread(areas.arrays("corrected"), *given, flat)
     return after
 
 

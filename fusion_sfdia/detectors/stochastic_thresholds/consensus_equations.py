@@ -129,16 +129,20 @@ def residual_deviation(memory: Any, variance: Any, process_variance: Any, noise:
 
 
 @equation
-def find_terms(
-    b: Any, i: Any, error_bound: Any, error_bound_shared: Any, printed: Any, matrices: Any, slope: Any, closed: Any,
-    process_variance: Any, noise: Any, shared_noise: Any, received: Any, start: Any, opposite: Any, area_terms: Any,
-    side_terms: Any, row: Any, shift: Any,
-) -> None:  # fmt: skip
+def find_terms(b: Any, i: Any, now: Any, printed: Any, areas: Any, row: Any, shift: Any) -> None:
     """Write weights and deviations of area i to area_terms[row] and, for each side, to side_terms[side + shift].
 
     In area_terms are the weight of its own copy of z_i, then what a step adds to lam s for the residuals of its n states, and
     for the errors of their estimates; in side_terms the weight of the neighbour's copy, and what a step adds for its residual.
+    now: Diagnosers; areas: AreaArrays.
     """
+    error_bound, error_bound_shared, area_terms, side_terms = (
+        now.error_bound,
+        now.error_bound_shared,
+        areas.area_terms,
+        areas.side_terms,
+    )
+    matrices, slope, closed, process_variance, noise, shared_noise, received, start, opposite = areas[:9]
     n = error_bound.shape[2]
     inflow_variance, inflow_bound = 0.0, 0.0
     for side in range(start[i], start[i + 1]):
@@ -194,12 +198,15 @@ def find_terms(
 
 
 @compiled
-def find_partly_terms(
-    b: Any, i: Any, error_bound_shared: Any, covariance: Any, matrices: Any, slope: Any, closed: Any, process_variance: Any,
-    noise: Any, shared_noise: Any, received: Any, start: Any, opposite: Any, area_terms: Any, side_terms: Any, row: Any,
-    shift: Any, M: Any,
-) -> None:  # fmt: skip
+def find_partly_terms(b: Any, i: Any, now: Any, areas: Any, row: Any, shift: Any, M: Any) -> None:
     """As find_terms, of an area that does not read all its states; also write M (n, n), or its bound."""
+    error_bound_shared, covariance, area_terms, side_terms = (
+        now.error_bound_shared,
+        now.covariance,
+        areas.area_terms,
+        areas.side_terms,
+    )
+    matrices, slope, closed, process_variance, noise, shared_noise, received, start, opposite = areas[:9]
     n = noise.shape[1]
     own = 1.0 / max(covariance[b, i, 0, 0], 1.0 / UNKNOWN)
     inflow_variance, bound, total, agreed = 0.0, 0.0, own, 0.0
@@ -274,11 +281,10 @@ def estimate_unread(y: Any, ahead: Any, noise: Any, held: Any, P: Any) -> Any:
 
 
 @compiled
-def take_unread(
-    noise: Any, closed: Any, received: Any, start: Any, opposite: Any, own: Any, ahead: Any, h: Any, h_shared: Any, d: Any,
-    d_shared: Any, e: Any, e_shared: Any, s: Any, s_shared: Any, covariance: Any,
-) -> None:  # fmt: skip
-    """Complete the diagnosers h to s_shared after take_readings: estimates of unread states, and what areas send of them."""
+def take_unread(areas: Any, own: Any, ahead: Any, after: Any) -> None:
+    """Complete the diagnosers after take_readings: estimates of unread states, and what areas send of them."""
+    closed, noise, received, start, opposite = areas.closed, areas.noise, areas.received, areas.start, areas.opposite
+    h, h_shared, d, d_shared, _, e_shared, _, s_shared, covariance = after
     for b in range(h.shape[0]):
         for i in range(h.shape[1]):
             bound = d[b, i, 0]
@@ -308,36 +314,36 @@ def take_readings(y: Any, held: Any, error_bound: Any, residual: Any, s: Any) ->
 
 @compiled
 def step_areas(
-    held: Any, held_shared: Any, error_bound: Any, error_bound_shared: Any, residual: Any, residual_shared: Any, deviation: Any,
-    deviation_shared: Any, covariance: Any, reference: Any, load: Any, lam: Any, printed: Any, matrices: Any, slope: Any,
-    closed: Any, process_variance: Any, noise: Any, shared_noise: Any, received: Any, start: Any, opposite: Any, reader: Any,
-    known: Any, area_terms: Any, side_terms: Any, alpha: Any, own: Any, shared: Any, h: Any, h_shared: Any, d: Any,
-    d_shared: Any, e: Any, e_shared: Any, s: Any, s_shared: Any, covariance_after: Any, alarm: Any,
+    now: Any, reference: Any, load: Any, lam: Any, printed: Any, areas: Any, alpha: Any, own: Any, shared: Any, after: Any,
+    alarm: Any,
 ) -> Any:  # fmt: skip
     """Write the diagnosers after the readings own (B, N, n) and shared (B, 2E), under reference and load (B, N).
 
-    h to covariance_after: the Diagnosers after; without readings, given by arrays of no runs, estimates, error bounds, f(x_bar)
-    of areas with unread states, deviations of the next ones, and M. printed: (15), (17) as printed. alarm (B, N + K), False
-    before: whether |residual| > alpha deviation for any reading of an area, own or of a neighbour's first state; K columns for
-    the copies behind the sides of the N areas, each read in another part. All copies of z_i are treated with area i: it needs
-    the copies at its sides and at the opposite sides, and writes the latter. Returns whether the shapes fit; if they do not,
-    nothing is written.
+    now, after: Diagnosers; areas: AreaArrays. Without readings, given by arrays of no runs, what is written are estimates,
+    error bounds, f(x_bar) of areas with unread states, deviations of the next ones, and M. printed: (15), (17) as printed.
+    alarm (B, N + K), False before: whether |residual| > alpha deviation for any reading of an area, own or of a neighbour's
+    first state; K columns for the copies behind the sides of the N areas, each read in another part. All copies of z_i are
+    treated with area i: it needs the copies at its sides and at the opposite sides, and writes the latter. Returns whether the
+    shapes fit; if they do not, nothing is written.
     """
-    runs, areas, n = held.shape
+    held, held_shared, error_bound, error_bound_shared, residual, residual_shared, deviation, deviation_shared, covariance = now
+    matrices, slope, closed, _, noise, _, received, start, opposite, reader, known, area_terms, side_terms = areas
+    h, h_shared, d, d_shared, e, e_shared, s, s_shared, covariance_after = after
+    runs, count, n = held.shape
     read = own.shape[0] > 0
     given = held_shared.shape == shared.shape and held.shape == own.shape
-    fits = (given or not read) and matrices.shape[:2] == (areas, n) and held_shared.shape == (runs, slope.size)
-    fits &= reference.shape == load.shape == (runs, areas)
+    fits = (given or not read) and matrices.shape[:2] == (count, n) and held_shared.shape == (runs, slope.size)
+    fits &= reference.shape == load.shape == (runs, count)
     fits &= error_bound.shape == residual.shape == deviation.shape == h.shape == d.shape == e.shape == s.shape == held.shape
     fits &= error_bound_shared.shape == residual_shared.shape == deviation_shared.shape == held_shared.shape
     fits &= h_shared.shape == d_shared.shape == e_shared.shape == s_shared.shape == held_shared.shape
     some = covariance.shape[2] > 0  # whether any state is not read
-    fits &= covariance.shape == covariance_after.shape and (not some or covariance.shape == (runs, areas, n, n))
+    fits &= covariance.shape == covariance_after.shape and (not some or covariance.shape == (runs, count, n, n))
     if not fits:
         return False
     ahead = np.zeros(n)
     for b in range(runs):
-        for i in range(areas):
+        for i in range(count):
             first, past, row, shift = start[i], start[i + 1], i, 0
             partly = some and not np.all(np.isfinite(noise[i]))
             inflow, complete = 0.0, not partly  # complete: all values used of the states of the area and of its neighbours
@@ -348,19 +354,13 @@ def step_areas(
                     inflow += slope[side] * held_shared[b, side]
                     complete &= error_bound_shared[b, side] == 0.0 and error_bound_shared[b, opposite[side]] == 0.0
             if not complete:
-                row, shift = areas, start[areas] - first  # behind the terms of all areas
+                row, shift = count, start[count] - first  # behind the terms of all areas
             if partly:
-                find_partly_terms(
-                    b, i, error_bound_shared, covariance, matrices, slope, closed, process_variance, noise, shared_noise,
-                    received, start, opposite, area_terms, side_terms, row, shift, covariance_after[b, i],
-                )  # fmt: skip
+                find_partly_terms(b, i, now, areas, row, shift, covariance_after[b, i])
             elif some:
                 covariance_after[b, i] = 0.0
             if not partly and not (complete and known[i]):
-                find_terms(
-                    b, i, error_bound, error_bound_shared, printed, matrices, slope, closed, process_variance, noise,
-                    shared_noise, received, start, opposite, area_terms, side_terms, row, shift,
-                )  # fmt: skip
+                find_terms(b, i, now, printed, areas, row, shift)
                 known[i] |= complete
             drive, crossed = 0.0, False
             for r in range(n):

@@ -117,8 +117,8 @@ class Part:
         count = len(b.matrices)
         alarm = np.zeros((len(state.held), count + b.border.size), bool)
         consensus_equations.step_areas(
-            *state, given.reference, given.load, self.lam, self.printed, *self._arrays, self.alpha, given.own, given.shared,
-            *after, alarm,
+            state, given.reference, given.load, self.lam, self.printed, self._arrays, self.alpha, given.own, given.shared,
+            after, alarm,
         )  # fmt: skip
         self._now, self._before = after, state
         copies = np.stack([a[:, b.near :] for a in after.shared])

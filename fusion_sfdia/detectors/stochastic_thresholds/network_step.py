@@ -38,7 +38,7 @@ def network_step(
     misread = len(own) != len(reference) or any(map(is_, state, out))  # without any readings the loop would only predict
     misread |= (state.covariance.shape[-1] > 0) != areas.partly_read
     if misread or not consensus_equations.step_areas(
-        *state, reference, load, lam, mode == "paper", *areas.arrays(mode), alpha, own, shared, *out, alarm
+        state, reference, load, lam, mode == "paper", areas.arrays(mode), alpha, own, shared, out, alarm
     ):
         raise _misfit(areas, state, given, out)
     return out, alarm
