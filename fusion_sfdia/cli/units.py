@@ -8,18 +8,20 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 SUFFIXES = (".csv", ".parquet")
-TABLE, PAGE = "units.csv", "units.html"
+TABLE, PAGE, REPORTS = "units.csv", "units.html", "units"
 
 
 def diagnose_units(chosen: argparse.Namespace) -> int:
     """Learn and diagnose the logs of --units, and write a table and a page."""
     from fusion_sfdia.common.files import all_or_none, locked
     from fusion_sfdia.learning.monitor.monitor import FALSE_ALARM
+    from fusion_sfdia.logs.loaded_log import counted
     from fusion_sfdia.report.units_page import COLUMNS, write_units
 
     beside = {"--healthy": chosen.healthy, "--monitor": chosen.monitor, "--data": chosen.data, "--save": chosen.save}
@@ -39,14 +41,20 @@ def diagnose_units(chosen: argparse.Namespace) -> int:
     }  # fmt: skip
     out = chosen.out or Path("monitor") / "units"
     with locked(out, force=chosen.force), tempfile.TemporaryDirectory() as folder, _at_work(chosen) as work_off:
-        rows, different = _diagnosed(paths, settings, Path(folder), work_off)
-        with all_or_none(out) as new:
-            write_units(new / TABLE, new / PAGE, rows, different)
+        rows, different, pages = _diagnosed(paths, settings, Path(folder), work_off)
+        former = [f"{REPORTS}/{path.name}" for path in (out / REPORTS).glob("*.html")]
+        with all_or_none(out, instead_of=former) as new:
+            if pages:
+                (new / REPORTS).mkdir()
+            for unit, page in pages.items():
+                (new / REPORTS / f"{unit}.html").write_bytes(page)
+            write_units(new / TABLE, new / PAGE, rows, different, {unit: f"{REPORTS}/{unit}.html" for unit in pages})
     found = [COLUMNS, *(row.cells for row in rows)]
     widths = [max(len(line[i]) for line in found) for i in range(len(COLUMNS))]
     say("\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in found))
     say("\n".join(map(str, different)) if different else "no unit differs from the others by more than chance gives")
-    say(f"{TABLE}, {PAGE}: in {out}")
+    reports = f", {REPORTS}/ with {counted(len(pages), 'report')}" if pages else ""
+    say(f"{TABLE}, {PAGE}{reports}: in {out}")
     if chosen.json:
         print(json.dumps({"units": [row._asdict() for row in rows], "different": [d._asdict() for d in different]}, indent=2))
     return int(any(row.error for row in rows))
@@ -79,8 +87,10 @@ def _at_work(chosen: argparse.Namespace) -> Iterator[Any]:
         yield on_cluster or partial(work_off, workers=chosen.workers or cores())
 
 
-def _diagnosed(paths: list[Path], settings: Mapping[str, Any], folder: Path, work_off: Any) -> tuple[list[Any], list[Any]]:
-    """A row of each unit, and the units that differ."""
+def _diagnosed(
+    paths: list[Path], settings: Mapping[str, Any], folder: Path, work_off: Any
+) -> tuple[list[Any], list[Any], dict[str, bytes]]:
+    """A row of each unit, the units that differ, and the reports of units with findings."""
     from fusion_sfdia.learning.monitor.compared_units import differing
     from fusion_sfdia.plant.signals import Signal
     from fusion_sfdia.report.progress import progress
@@ -92,6 +102,7 @@ def _diagnosed(paths: list[Path], settings: Mapping[str, Any], folder: Path, wor
     pieces = [Piece(part, _unit, {**settings, "log": path.absolute()}) for part, path in parts.items()]
     done = {one.path: one for one in progress(work_off(pieces), "units", len(pieces))}
     rows: list[UnitRow] = []
+    pages: dict[str, bytes] = {}
     means: dict[tuple[tuple[str, str], ...], dict[str, Any]] = {}
     for part, path in parts.items():
         if error := done[part].error:
@@ -101,11 +112,13 @@ def _diagnosed(paths: list[Path], settings: Mapping[str, Any], folder: Path, wor
         assert arrays is not None
         about = json.loads(str(arrays["about"]))
         rows.append(UnitRow(path.stem, str(path), about["state"], about["verdict"], about["healthy"], tuple(about["found"])))
+        if arrays["page"].size:
+            pages[path.stem] = arrays["page"].tobytes()
         means.setdefault(tuple((str(n), str(u)) for n, u in about["sensors"]), {})[path.stem] = arrays["means"]
     found = []
     for of_kind, of_units in means.items():  # units of the same columns
         found += differing([Signal(name, unit) for name, unit in of_kind], of_units)
-    return rows, found
+    return rows, found, pages
 
 
 def _unit(task: Mapping[str, Any]) -> dict[str, Any]:
@@ -140,7 +153,12 @@ def _unit(task: Mapping[str, Any]) -> dict[str, Any]:
     about = {
         "state": state, "verdict": verdict,
         "healthy": f"{read.clock.at(float(healthy.t[0]))} to {read.clock.at(float(healthy.t[-1]))}",
-        "found": [e.told(read.clock) for e in found.events], "sensors": [[s.name, s.unit] for s in sensors],
+        "found": [found.sentence(e) for e in found.findings], "sensors": [[s.name, s.unit] for s in sensors],
     }  # fmt: skip
     means = [means_of(piece.v) for piece in pieces_of(healthy, monitor.dt)]
-    return {"about": np.array(json.dumps(about)), "means": np.concatenate(means)}
+    with tempfile.TemporaryDirectory() as folder:
+        found = replace(found, source=Path(task["log"]).name)
+        page = found.report(Path(folder) / "unit.html").read_bytes() if found.events else b""
+    return {
+        "about": np.array(json.dumps(about)), "means": np.concatenate(means), "page": np.frombuffer(page, np.uint8),
+    }  # fmt: skip

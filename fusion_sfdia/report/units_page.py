@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
+from urllib.parse import quote
 
 from markupsafe import Markup
 
@@ -39,15 +40,20 @@ class UnitRow(NamedTuple):
         )
 
 
-def write_units(table: Path, page: Path, rows: Sequence[UnitRow], different: Sequence[Any]) -> None:
-    """Write the table, a row a unit, and the page, whole or not at all; those with something to say first on the page."""
+def write_units(
+    table: Path, page: Path, rows: Sequence[UnitRow], different: Sequence[Any], reports: Mapping[str, str] | None = None
+) -> None:
+    """Write the table, a row a unit, and the page, whole or not at all; those with something to say first on the page.
+
+    reports: of units that have one its path from the page on.
+    """
     header = ("unit", "log", "state", "verdict", "learnt", "events", "differs", "error")
     said = {d.unit: str(d) for d in different}
     write_table(table, header, ((*r[:5], "; ".join(r.events), said.get(r.unit, ""), r.error) for r in rows))
     order = sorted(rows, key=lambda r: (not r.error, r.state == "healthy", r.unit))
     text = page_environment().from_string(part("units.html.j2")).render(
         css=Markup(part("page.css")), rows=order, different=[str(d) for d in different], version=__version__,
-        states=sorted({r.state for r in rows if not r.error}),
+        states=sorted({r.state for r in rows if not r.error}), reports={u: quote(path) for u, path in (reports or {}).items()},
     )  # fmt: skip
     with atomic_write(page) as file:
         file.write(text)

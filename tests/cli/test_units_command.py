@@ -36,12 +36,14 @@ def test_each_unit_is_diagnosed_and_one_that_cannot_be_is_said(tmp_path: Path, c
     shown = json.loads(capsys.readouterr().out)
     rows = {row["unit"]: row for row in shown["units"]}
     assert len(rows) == 7 and "the healthy logs have 2 rows" in rows["unit-9"]["error"]
-    assert rows["unit-2"]["state"] == "sensor" and any("b: " in e for e in rows["unit-2"]["events"])
+    assert rows["unit-2"]["state"] == "sensor" and "Sensor b has read" in str(rows["unit-2"]["events"])
     assert sum(rows[f"unit-{k}"]["state"] == "healthy" for k in (0, 1, 3, 4, 5)) >= 4 and shown["different"] == []
     with (out / "units.csv").open(encoding="utf-8") as file:
         table = list(csv.DictReader(file))
     assert [line["unit"] for line in table] == list(rows) and table[2]["learnt"] == "0 s to 4000 s"
-    assert "unit-2" in (out / "units.html").read_text(encoding="utf-8")
+    assert '<a href="units/unit-2.html">unit-2</a>' in (out / "units.html").read_text(encoding="utf-8")
+    assert "Diagnosis of unit-2.csv" in (out / "units" / "unit-2.html").read_text(encoding="utf-8")
+    assert {p.stem for p in (out / "units").iterdir()} == {name for name, row in rows.items() if row["events"]}
     assert main([*command, "--workers", "1", "--out", str(tmp_path / "one")]) == 1
     assert (tmp_path / "one" / "units.csv").read_bytes() == (out / "units.csv").read_bytes()
 
