@@ -20,6 +20,8 @@ sys.path.insert(0, str(HERE))
 import comparison  # noqa: E402  (beside this file)
 import findings  # noqa: E402
 import paper_numbers  # noqa: E402
+import real_logs  # noqa: E402
+import real_logs_page  # noqa: E402
 import robustness  # noqa: E402
 
 PAGES = (
@@ -117,9 +119,13 @@ def tables() -> dict[str, str]:
     """All tables by name."""
     rows = comparison.load(HERE / "comparison.csv")
     trust = robustness.trust(robustness.read_rows(robustness.NUMBERS))
-    found = {"choices": situations(), "findings": findings.findings(rows), "trust": trust, "paper": paper_numbers.table()} | {
-        f"comparison-{plant}": of_plant(rows, plant) for plant in comparison.PLANTS
-    }
+    found = {
+        "choices": situations(),
+        "findings": findings.findings(rows),
+        "trust": trust,
+        "paper": paper_numbers.table(),
+        "recorded": real_logs_page.of_readme(real_logs.load()),
+    } | {f"comparison-{plant}": of_plant(rows, plant) for plant in comparison.PLANTS}
     with (HERE / "papers.csv").open(encoding="utf-8", newline="") as file:
         papers = list(csv.DictReader(file))
     for page, name in dict.fromkeys((row["page"], row["table"]) for row in papers):

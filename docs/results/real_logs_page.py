@@ -14,6 +14,8 @@ ALL, MONITOR = "all", "monitor"
 SHARES = ("found", "named right", "named wrong", "undecided")
 ALONE = "nothing else measures it"
 WIDTH = 126
+README_SET = "Logan river, fortnights in turn"
+README_METHODS = ("limits-ewma", "ridge on others", "pca", MONITOR)
 TWICE = 2.0  # of the promised rate: what exceeds it is marked
 
 ABOUT = """# Recorded and simulated logs, without a model
@@ -158,6 +160,21 @@ def of_set(cells: Cells, of: str) -> str:
         alarms = f"{cells[of, m, ALL, 'alarms a day']:.2g}"
         lines.append((f"`{m}`", *shown, "" if delay is None else lasting(delay), rate(cells, of, m), alarms, cpu))
     return table(header, lines)
+
+
+def of_readme(cells: Cells) -> str:
+    """What a few methods find on a recorded log, in a small table."""
+    metrics = ("found", "named right", "named wrong")
+    lines = [
+        (
+            "`monitor`, ours" if m == MONITOR else m,
+            *(f"{cells[README_SET, m, ALL, w]:.2f}" for w in metrics),
+            f"{cells[README_SET, m, ALL, 'delay'] / 60:.0f}",
+            f"{cells[README_SET, m, ALL, 'alarms a day']:.2f}",
+        )
+        for m in README_METHODS
+    ]
+    return table(("method", *metrics, "minutes to the alarm", "false alarms a day"), lines)
 
 
 def by_kind(cells: Cells, of: str) -> str:
