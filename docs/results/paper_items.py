@@ -13,7 +13,7 @@ from pathlib import Path
 from textwrap import fill
 from typing import NamedTuple
 
-from published import PAPERS, WIDTH, paper_of, table
+from fusion_sfdia.study.published_numbers import PAPERS, WIDTH, paper_of, table
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]

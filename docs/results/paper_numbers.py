@@ -9,8 +9,10 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
 
 import comparison  # noqa: E402  (beside this file)
-import published  # noqa: E402
 import robustness  # noqa: E402
+
+from fusion_sfdia.report.results import read_rows  # noqa: E402
+from fusion_sfdia.study.published_numbers import NUMBERS, counts, values_of  # noqa: E402
 
 SPEED = HERE / "speed.csv"
 
@@ -23,15 +25,13 @@ def table() -> str:
 
 def of_papers() -> list[tuple[str, str, str]]:
     """Of the published numbers how many are met and missed."""
-    values, known = published.values_of(published.read_rows(published.NUMBERS)), published.reasons()
-    default = sum(next(iter(v.ours)) in v.met_by for v in values)
-    missed = [published.reason_of(v, known).startswith(published.UNEXPLAINED) for v in values if not v.met_by]
+    found = counts(values_of(read_rows(HERE / NUMBERS)))
     return [
-        ("published numbers of the five papers that scenarios measure", f"{len(values)}", published.NUMBERS.name),
-        ("of these met as the paper is read by default", f"{default}", published.NUMBERS.name),
-        ("of these met by some reading of the paper", f"{len(values) - len(missed)}", published.NUMBERS.name),
-        ("of these missed, with a stated reason", f"{len(missed) - sum(missed)}", published.NUMBERS.name),
-        ("of these missed, unexplained", f"{sum(missed)}", published.NUMBERS.name),
+        ("published numbers of the five papers that scenarios measure", f"{found.numbers}", NUMBERS),
+        ("of these met as the paper is read by default", f"{found.by_default}", NUMBERS),
+        ("of these met by some reading of the paper", f"{found.by_some}", NUMBERS),
+        ("of these missed, with a stated reason", f"{found.explained}", NUMBERS),
+        ("of these missed, unexplained", f"{found.unexplained}", NUMBERS),
     ]
 
 

@@ -8,6 +8,9 @@ from types import ModuleType
 
 import pytest
 
+from fusion_sfdia.report.results import read_rows
+from fusion_sfdia.study import published_numbers as published
+
 
 @pytest.fixture
 def folder(root: Path) -> Path:
@@ -92,9 +95,13 @@ def test_links_of_the_documentation_lead_somewhere(root: Path) -> None:
 def test_the_page_of_published_numbers_is_that_of_its_numbers(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each number stands once, every reason is used, and a value is met only where its interval, not its width, says so."""
     monkeypatch.syspath_prepend(str(folder))
-    published = importlib.import_module("published")
-    values = published.values_of(published.read_rows(published.NUMBERS))
-    assert published.render(values) == published.PAGE.read_text(encoding="utf-8"), "run docs/results/published.py"
+    see = importlib.import_module("published").SEE
+    rows = read_rows(folder / published.NUMBERS)
+    assert [r.columns for r in published.stated(rows)] == [r.columns for r in rows]  # rounded, each once
+    values = published.values_of(rows)
+    assert published.render(values, see) == (folder / published.PAGE).read_text(encoding="utf-8"), (
+        "run docs/results/published.py"
+    )
     assert {f"published-{v.paper}.svg" for v in values} == {p.name for p in folder.glob("published-*.svg")}
     assert len({(v.paper, v.source, v.what) for v in values}) == len(values) > 200
     known = published.reasons()
@@ -111,10 +118,10 @@ def test_the_page_of_published_numbers_is_that_of_its_numbers(folder: Path, monk
 def test_every_item_of_the_papers_leads_to_code_and_tests(root: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every equation and published number is an item; what is said to be done has code, and a test or numbers that show it."""
     monkeypatch.syspath_prepend(str(folder))
-    items, published = importlib.import_module("paper_items"), importlib.import_module("published")
+    items = importlib.import_module("paper_items")
     papers = items.load()
     assert items.render(papers) == items.PAGE.read_text(encoding="utf-8"), "run docs/results/paper_items.py"
-    sources = {row.source for row in published.read_rows(published.NUMBERS)}
+    sources = {row.source for row in read_rows(folder / published.NUMBERS)}
     assert {source for paper in papers for one in paper.items for source in one.numbers} == sources
     text: dict[str, str] = {}
     for paper in papers:
