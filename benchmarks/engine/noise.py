@@ -25,7 +25,7 @@ from fusion_sfdia.benchmarks.engine.support.noise_figures import (
     modules_of,
     published,
 )
-from fusion_sfdia.benchmarks.engine.support.trials import NAMES, SAMPLING, row, timeline
+from fusion_sfdia.benchmarks.engine.support.trials import NAMES, SAMPLING, row, sampled, timeline
 from fusion_sfdia.common.run_statistics import Estimate
 from fusion_sfdia.diagnosis.fault_effects import apply_faults
 from fusion_sfdia.diagnosis.faults import Fault
@@ -81,16 +81,13 @@ def noise_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Sum
                 answer = found[sensor, group, level] = campaign.response(first[i], settings["onset"], modules_of(sensor, group))
                 quantity = NAMES[modules_of(sensor, OWN)[0]] if group == OWN else group
                 for metric, estimate in _metrics(answer).items():
-                    stated = (
-                        published(sensor, group, level, metric)
-                        if (settings["duration"], settings["sampling"]) == (100.0, SAMPLING)
-                        else None
-                    )
+                    stated = published(sensor, group, level, metric) if settings["duration"] == 100.0 else None
                     rows.append(at(fault, quantity, metric, estimate, stated, condition=condition(level)))
             lines = timeline(first[i], (PublishedOffset(sensor, settings["onset"], size),), settings["duration"])
             rows += isolation_rows("engine/noise", name, fault, lines, condition=condition(level))
     figures = [missed_figure(levels, found), delay_figure(levels, found), isolation_figure(levels, rows)]
-    return Summary(rows, figures, [_table_vi(levels, found)], [_highlight(levels, found)], _remarks(levels, found, rows))
+    tables, remarks = [_table_vi(levels, found)], _remarks(levels, found, rows)
+    return Summary(sampled(rows, settings["sampling"]), figures, tables, [_highlight(levels, found)], remarks)
 
 
 def _metrics(answer: Response) -> dict[str, Estimate]:

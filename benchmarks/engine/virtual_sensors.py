@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, NAMES, Array, Results, engine, row
+from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, NAMES, SAMPLING, Array, Results, engine, row, sampled
 from fusion_sfdia.benchmarks.engine.support.virtual_figures import virtual_sensor_figures
 from fusion_sfdia.benchmarks.engine.support.virtual_trials import (
     DELAYED,
@@ -119,9 +119,8 @@ def sensor_summary(settings: Settings, results: Results) -> Summary:
         tuple((n, *(value_of(rows, "fault_mape_percent", n, v) for v in known), f"{MAPE[i]:g}") for i, n in enumerate(SIZED)),
         f"From {', '.join(f'{s:g} s ({n})' for s, n in zip(SINCE, SIZED, strict=True))} on.",
     )
-    return Summary(
-        rows, virtual_sensor_figures(found, settings["duration"]), [table], highlights(rows), remarks(rows, settings)
-    )
+    figures = virtual_sensor_figures(found, settings["duration"])
+    return Summary(sampled(rows, settings["sampling"]), figures, [table], highlights(rows), remarks(rows, settings))
 
 
 def value_of(rows: list[Row], metric: str, module: str, kind: str) -> str:
@@ -193,7 +192,13 @@ SCENARIO = Scenario(
     about="Offsets of 5 kN m of the torque sensor and 50 kPa of the receiver's pressure sensor at 10 s, and of 100 K of the "
     "charge air's temperature sensor at 20 s, at full load with 3 % noise (Kougiatsos and Reppa 2022, Figs. 3 and 4): their "
     "estimated sizes, and false alarms of the modules that read these sensors.",
-    settings={"noise": 0.03, "duration": DURATION, "inversion_seeds": 2},
+    settings={
+        "noise": 0.03,
+        "duration": DURATION,
+        "sampling": SAMPLING,
+        "variants": tuple(VARIANTS),
+        "inversion_seeds": 2,
+    },
     seeds=3,
     full_seeds=100,
     tasks=sensor_tasks,

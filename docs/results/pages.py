@@ -2,8 +2,8 @@
 
 People write a page but for its tables: what stands between `<!-- table: NAME -->` and `<!-- end -->` is made from
 the CSV files beside this one, and a test makes it again. papers.csv holds the numbers of the papers' own
-experiments as they are shown: columns page, table, row, column, value, low, high, published; in LISTS `column` is the
-scenario, command or test that gives the number.
+experiments that no paper publishes, as they are shown: columns page, table, row, column, value, low, high; in LISTS `column` is
+the scenario, command or test that gives the number. Those that a paper publishes are in published.csv.
 """
 
 from __future__ import annotations
@@ -24,6 +24,9 @@ import real_logs  # noqa: E402
 import real_logs_page  # noqa: E402
 import robustness  # noqa: E402
 
+from fusion_sfdia.report.results import read_rows  # noqa: E402
+from fusion_sfdia.study import published_numbers  # noqa: E402
+
 PAGES = (
     *(HERE / f"{name}.md" for name in ("README", *comparison.PLANTS)),
     HERE.parents[1] / "README.md",
@@ -31,7 +34,6 @@ PAGES = (
 )
 MARKED = re.compile(r"(<!-- table: ([\w-]+) -->\n\n)(.*?)(\n\n<!-- end -->)", re.DOTALL)
 LISTS = ("further", "speed")  # tables with one column of numbers
-PUBLISHED = "published"  # the column of published values, in tables that have one
 
 # situation, detector, what it needs
 CHOICES = (
@@ -96,13 +98,8 @@ def of_plant(rows: Sequence[comparison.Row], plant: str) -> str:
 
 
 def shown(row: Mapping[str, str]) -> str:
-    """A value with its interval and, in italics, what is published."""
-    parts = [row["value"]] if row["value"] else []
-    if row["low"]:
-        parts.append(f"[{row['low']}, {row['high']}]")
-    if row["published"]:
-        parts.append(f"*{row['published']}*" if row["column"] == PUBLISHED else f"*({row['published']})*")
-    return " ".join(parts)
+    """A value with its interval."""
+    return row["value"] + (f" [{row['low']}, {row['high']}]" if row["low"] else "")
 
 
 def of_papers(rows: Sequence[Mapping[str, str]]) -> str:
@@ -128,6 +125,9 @@ def tables() -> dict[str, str]:
     } | {f"comparison-{plant}": of_plant(rows, plant) for plant in comparison.PLANTS}
     with (HERE / "papers.csv").open(encoding="utf-8", newline="") as file:
         papers = list(csv.DictReader(file))
+    values = published_numbers.values_of(read_rows(HERE / published_numbers.NUMBERS))
+    for plant in dict.fromkeys(v.own.plant for v in values):
+        found[f"published-{plant}"] = published_numbers.counts_table([v for v in values if v.own.plant == plant])
     for page, name in dict.fromkeys((row["page"], row["table"]) for row in papers):
         found[f"{page}-{name}"] = of_papers([row for row in papers if (row["page"], row["table"]) == (page, name)])
     return found

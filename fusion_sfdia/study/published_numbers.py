@@ -37,6 +37,7 @@ PAPERS = {  # key: how its sources begin, title
 UNEXPLAINED = "unexplained"
 READINGS = (  # parts of conditions: how a paper is read
     *("lit", "small", "as printed", "intersected", "interval alone"),
+    *("readings every 1 ms", "readings every 0.3 ms"),
     *("interval arithmetic", "set inversion", "(30) as printed", "the paper's own timeline"),
 )
 METRICS = {"minimum_detectable_percent": "without noise", "smallest_detected_percent": "in a run"}  # two readings of one
@@ -177,10 +178,23 @@ def counts(values: Sequence[Value]) -> Counts:
     return Counts(len(values), *met, missed[False], missed[True])
 
 
+def _by_paper(values: Sequence[Value]) -> list[tuple[str, list[Value]]]:
+    """The papers that there are values of, by title."""
+    return [(title, own) for key, (_, title) in PAPERS.items() if (own := [v for v in values if v.paper == key])]
+
+
+def counts_table(values: Sequence[Value]) -> str:
+    """The `counts` of each paper."""
+    header = (
+        *("paper", "numbers", "met as read by default", "met by some reading", f"within a factor {NEAR:g} by some"),
+        *("missed, with a reason", "missed, unexplained"),
+    )
+    return table(header, [(title, *map(str, counts(own))) for title, own in _by_paper(values)])
+
+
 def render(values: Sequence[Value], see: str = "") -> str:
     """The page in Markdown; see: a sentence that ends its first paragraph."""
     known = reasons()
-    of_papers = [(title, own) for key, (_, title) in PAPERS.items() if (own := [v for v in values if v.paper == key])]
     parts = [
         "# Published numbers beside ours",
         fill(
@@ -189,15 +203,9 @@ def render(values: Sequence[Value], see: str = "") -> str:
             f"A miss has its reason, as known from full runs, or is unexplained. {see}",
             WIDTH,
         ),
-        table(
-            (
-                *("paper", "numbers", "met as read by default", "met by some reading", f"within a factor {NEAR:g} by some"),
-                *("missed, with a reason", "missed, unexplained"),
-            ),
-            [(title, *map(str, counts(own))) for title, own in of_papers],
-        ),
+        counts_table(values),
     ]
-    for title, own in of_papers:
+    for title, own in _by_paper(values):
         parts.append(f"## {title}")
         parts.append(f"![Ours over the published number, {title}]({_figure(own[0].paper)}.svg)")
         for source in dict.fromkeys(_table_of(v.source) for v in own):
@@ -267,11 +275,7 @@ def draw(own: Sequence[Value]) -> Figure:
 
 def figures(values: Sequence[Value]) -> dict[str, str]:
     """The figure of each paper as SVG, by its name."""
-    found = {}
-    for key in PAPERS:
-        if own := [v for v in values if v.paper == key]:
-            found[_figure(key)] = figure_svg(_figure(key), partial(draw, own))
-    return found
+    return {name: figure_svg(name, partial(draw, own)) for _, own in _by_paper(values) if (name := _figure(own[0].paper))}
 
 
 def _figure(paper: str) -> str:

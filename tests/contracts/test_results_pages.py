@@ -70,7 +70,7 @@ def test_no_number_of_the_papers_has_the_place_of_another(folder: Path) -> None:
         rows = list(csv.DictReader(file))
     places = [(row["page"], row["table"], row["row"], row["column"]) for row in rows]
     assert len(set(places)) == len(places) > 90
-    assert all(row["value"] or row["published"] for row in rows)
+    assert all(row["value"] for row in rows) and "published" not in rows[0]  # what is published is in published.csv alone
     assert all(bool(row["low"]) == bool(row["high"]) for row in rows)
 
 

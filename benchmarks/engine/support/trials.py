@@ -26,7 +26,7 @@ from fusion_sfdia.models.marine_engine.modules import MODULES
 from fusion_sfdia.models.marine_engine.plant import marine_engine
 from fusion_sfdia.models.marine_engine.published import AT_NOMINAL_SPEED, DESIGNS, PublishedOffset
 from fusion_sfdia.plant.plant import Plant
-from fusion_sfdia.report.results import row_of
+from fusion_sfdia.report.results import Row, row_of
 from fusion_sfdia.study.experiments.scenario import Arrays, Settings, Task, seed_blocks
 
 Array = NDArray[Any]
@@ -165,6 +165,14 @@ def by_detector(results: Results) -> dict[str, Arrays]:
         name: {k: found[0][k] if k == "trace" else np.concatenate([p[k] for p in found]) for k in found[0]}
         for name, found in parts.items()
     }
+
+
+def sampled(rows: Sequence[Row], sampling: float) -> list[Row]:
+    """The rows, whose condition also states how often readings come where that is not every `SAMPLING`."""
+    if sampling == SAMPLING:
+        return list(rows)
+    every = f"readings every {1e3 * sampling:g} ms"
+    return [replace(r, condition=f"{r.condition}, {every}" if r.condition else every) for r in rows]
 
 
 class Timeline(NamedTuple):

@@ -16,6 +16,7 @@ import numpy as np
 from fusion_sfdia.benchmarks.engine.support.trials import (
     CHUNK,
     DETECTORS,
+    SAMPLING,
     Array,
     Results,
     engine,
@@ -26,6 +27,7 @@ from fusion_sfdia.benchmarks.engine.support.trials import (
     trial,
 )
 from fusion_sfdia.detectors.adaptive_thresholds.virtual_sensors import VirtualSensors
+from fusion_sfdia.detectors.registry import require_known
 from fusion_sfdia.models.marine_engine.published import PublishedOffset
 from fusion_sfdia.report.results import AT_MOST, Published
 from fusion_sfdia.study.experiments.scenario import Arrays, Settings, Task, seed_blocks
@@ -50,7 +52,7 @@ REMAINS = 0.05  # of the fault, once an adaptive observer has identified it; our
 WITHIN = MAPE[0] / 100  # of the fault, once M(2,3) has identified it: its error in V22
 DURATION = 100.0  # s
 SHORT_FAULTS, SHORT = tuple(f._replace(onset=f.onset / 50) for f in FAULTS), 3.0  # s, where inversions are compared
-KEPT = 10  # samples, of which one is drawn
+KEPT = 0.1  # s between the samples that are drawn
 
 PRINTED, INTERSECTED, GUARANTEED = "as printed", "intersected", "interval alone"
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -62,9 +64,9 @@ INVERSIONS = ("corners", "sivia")
 
 
 @cache
-def virtual_sensors(noise: float, variant: str, inversion: str) -> VirtualSensors:
+def virtual_sensors(noise: float, variant: str, inversion: str, sampling: float = SAMPLING) -> VirtualSensors:
     """The detector on the engine with the observers of V22, built once for all tasks of a process."""
-    detector = VirtualSensors(engine(noise, "K22"), inversion=inversion, **VARIANTS[variant])
+    detector = VirtualSensors(engine(noise, "K22", sampling), inversion=inversion, **VARIANTS[variant])
     vars(detector.thresholds)["slopes"] = proof(noise, "K24")  # the cached property: seconds, and the same for all
     return detector
 
@@ -78,11 +80,16 @@ def sensor_tasks(settings: Settings, seeds: int) -> list[Task]:
         )
     if settings["inversion_seeds"] < 0:
         raise ValueError(f"setting inversion_seeds is {settings['inversion_seeds']}; expected 0 or more")
+    for v in settings["variants"]:
+        require_known("variant", v, VARIANTS)
     alone = tasks({**settings, "detectors": DETECTORS[:1]}, FAULTS, seeds, design="K22")
-    whole = {"noise": settings["noise"], "duration": settings["duration"], "faults": [list(f) for f in FAULTS]}
-    short = {"noise": settings["noise"], "duration": SHORT, "faults": [list(f) for f in SHORT_FAULTS]}
+    common = {k: settings[k] for k in ("noise", "sampling")}
+    whole = common | {"duration": settings["duration"], "faults": [list(f) for f in FAULTS]}
+    short = common | {"duration": SHORT, "faults": [list(f) for f in SHORT_FAULTS]}
     fed = [
-        whole | {"variant": v, "inversion": "corners", "seeds": block} for block in seed_blocks(seeds, CHUNK) for v in VARIANTS
+        whole | {"variant": v, "inversion": "corners", "seeds": block}
+        for block in seed_blocks(seeds, CHUNK)
+        for v in settings["variants"]
     ]
     few = seed_blocks(settings["inversion_seeds"], CHUNK)
     return [
@@ -96,8 +103,8 @@ def sensor_work(task: Task) -> Arrays:
     """Runs through the monitoring modules, or the virtual sensors: arrays as in `follow`."""
     if "detector" in task:
         return trial(task)
-    detector = virtual_sensors(task["noise"], task["variant"], task["inversion"])
-    healthy = recording(task["noise"], round(task["duration"] / detector.plant.dt), tuple(task["seeds"]))
+    detector = virtual_sensors(task["noise"], task["variant"], task["inversion"], task["sampling"])
+    healthy = recording(task["noise"], round(task["duration"] / detector.plant.dt), tuple(task["seeds"]), task["sampling"])
     y = offsets(detector.plant, healthy.t, healthy.y, task["faults"])
     return follow(detector, healthy.t, y, healthy.u, healthy.signal, [PublishedOffset(*f) for f in task["faults"]], SINCE)
 
@@ -121,7 +128,7 @@ def follow(
     square, square_faulty (B, F): mean squared error of the reconstructed and of the faulty reading since t_0.
     rise (B, F): s from the isolation until the estimate reaches 1 - REMAINS of the fault, NaN for never. settled (B, F): s from
     the isolation until the error is below WITHIN of the fault for good, inf where it is not at the end.
-    trace (4, B, K / KEPT, N): time, the fault's estimate, and the ends of its interval.
+    trace (4, B, duration / KEPT, N): time, the fault's estimate, and the ends of its interval.
     """
     own = [detector.plant.sensor_index(f.sensor) for f in faults]
     true, since = np.array([f.magnitude for f in faults]), np.minimum(from_, t[-1])
@@ -129,7 +136,8 @@ def follow(
     state = detector.init((runs,), float(t[0]) - detector.plant.dt)
     first, (rise, settled) = np.full((runs, count), np.inf), np.full((2, runs, len(faults)), np.nan)
     ape, inside, isolated, square, square_faulty = np.zeros((5, runs, len(faults)))
-    trace = np.zeros((4, runs, t.size // KEPT, count), np.float32)
+    kept = max(1, round(KEPT / detector.plant.dt))
+    trace = np.zeros((4, runs, t.size // kept, count), np.float32)
     for k, now in enumerate(t):
         state, decision = detector.step(state, float(now), y[k], u[k])
         held, size = detector.fault_interval(state), np.nan_to_num(decision.fault_size)
@@ -145,9 +153,9 @@ def follow(
         ape += np.where(late, 100 * error, 0.0)
         square += np.where(late, (decision.reconstruction - signal[k])[:, own] ** 2, 0.0)
         square_faulty += np.where(late, (y[k] - signal[k])[:, own] ** 2, 0.0)
-        if (k + 1) % KEPT == 0:
+        if (k + 1) % kept == 0:
             limits = (np.where(decision.isolated, end, np.nan) for end in (held.lo, held.hi))
-            trace[:, :, k // KEPT] = np.stack([np.full_like(size, now), size, *limits])
+            trace[:, :, k // kept] = np.stack([np.full_like(size, now), size, *limits])
     samples = (t[:, None] >= since - detector.plant.dt / 2).sum(axis=0)
     last = detector.fault_interval(state)
     return {

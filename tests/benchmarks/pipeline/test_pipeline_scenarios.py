@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fusion_sfdia.benchmarks.pipeline.accommodation import READING
-from fusion_sfdia.benchmarks.pipeline.support.rows import JudgedRuns, aftermath, detection_rows, judged_runs
+from fusion_sfdia.benchmarks.pipeline.accommodation import NAME, READING, diagnosis_rows
+from fusion_sfdia.benchmarks.pipeline.support.rows import JudgedRuns, aftermath, detection_rows, judged_runs, row
 from fusion_sfdia.benchmarks.pipeline.support.trials import tasks, trial
+from fusion_sfdia.common.run_statistics import Estimate
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.detectors.kalman_banks import window_step
 from fusion_sfdia.diagnosis.fault_draws import FaultRange
@@ -16,6 +17,7 @@ from fusion_sfdia.models.gas_pipeline import published
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.models.two_tanks.plant import two_tanks
+from fusion_sfdia.report.results import Row
 from fusion_sfdia.study import detection_metrics, isolation_metrics
 from fusion_sfdia.study.scenarios import scenario
 from fusion_sfdia.study.trials import decide, faulted, outcome
@@ -136,6 +138,30 @@ def test_the_reading_of_a_faulty_sensor_before_and_after_it_is_replaced() -> Non
     assert np.sqrt(np.nanmean(np.where(data.active, scaled, np.nan) ** 2)) < 2.0
     healthy = faulted(detector.plant, 75, range(1), None, None)
     assert np.isnan(outcome(detector.plant, healthy, decide(detector, healthy))["reading_square_error"]).all()
+
+
+def test_of_each_bank_the_cases_are_counted_in_which_diagnosis_lowers_the_error() -> None:
+    """Equal is not lower; what was run one way, or is of the reading or of another detector, does not count."""
+
+    def both(detector: str, fault: str, quantity: str, without: float, diagnosed: float, condition: str = "") -> list[Row]:
+        errors = {"rmse_unaccommodated": without, "rmse": diagnosed}
+        at = (NAME, detector, fault, quantity)
+        return [row(*at, metric, Estimate(e, e, e, 3), condition=condition) for metric, e in errors.items()]
+
+    rows = [
+        *both("fusing-ekf", "weak-bias", "pressure", 2.0, 1.0),
+        *both("fusing-ekf", "weak-bias", "temperature", 2.0, 2.0),
+        *both("fusing-ekf", "weak-drift", "pressure", 1.0, 2.0),
+        *both("fusing-ekf", "weak-drift", "mass flow", 2.0, 1.0, READING),
+        *both("fusing-ukf", "weak-bias", "pressure", 2.0, 1.0),
+        *both("fusing-enkf", "weak-bias", "pressure", 2.0, 1.0)[:1],
+        *both("loo-glr", "weak-bias", "pressure", 2.0, 1.0),
+    ]
+    found = diagnosis_rows(rows)
+    assert [(r.detector, r.value, r.n, r.published) for r in found] == [
+        ("fusing-ekf", 1 / 3, 3, 1.0),
+        ("fusing-ukf", 1.0, 1, 1.0),
+    ]
 
 
 def test_accommodation_reports_estimate_and_reading() -> None:
