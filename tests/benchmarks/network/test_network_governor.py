@@ -8,6 +8,7 @@ from fusion_sfdia.benchmarks.network.support.trials import ALPHA, BOUND, LAM, Wa
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import network_model
 from fusion_sfdia.models.power_network.operation import Switch
+from fusion_sfdia.models.power_network.published import GOVERNOR
 from fusion_sfdia.study.scenarios import scenario
 
 
@@ -34,6 +35,25 @@ def test_a_run_depends_on_its_own_seed_only() -> None:
     together, alone = one.work(task), one.work({**task, "seeds": [2]})
     for name in ("detected", "false_alarms", "unplugged_angle", "unplugged_other_alarms"):
         assert np.array_equal(together[name][2:], alone[name]), name
+
+
+def test_mechanical_power_and_valve_of_the_faulty_area_show_the_fault() -> None:
+    """B18, sec. VIII-A: of the residuals of area 4, in order angle, speed, mechanical power, valve, these two leave their
+    thresholds three times in a row within 25 s of the fault, both of them and before the others; with the same noise and a
+    healthy governor none does.
+    """
+    model = network_model(unplugged=["15"])
+    watch = WatchedRuns("4", GOVERNOR.fault.onset, "corrected")
+    begun, runs = round(GOVERNOR.fault.onset / model.dt) + 1, range(3)
+    shown = {}
+    for faults in ((), (GOVERNOR.fault,)):
+        found = [trial(model, watch, 60, [seed], loads=GOVERNOR.loads, faults=faults) for seed in runs]
+        alarm = np.array([np.abs(a["residual"]) > ALPHA * a["deviation"] for a in found])[:, begun:]
+        confirmed = alarm[:, :-2] & alarm[:, 1:-1] & alarm[:, 2:]  # (runs, steps, 4)
+        shown[bool(faults)] = np.where(confirmed.any(axis=1), confirmed.argmax(axis=1), np.inf)
+    assert np.isinf(shown[False]).all()
+    assert np.isfinite(shown[True][:, 2:]).all()
+    assert np.all(shown[True][:, 2:].min(axis=-1) < shown[True][:, :2].min(axis=-1))
 
 
 def test_an_area_is_unplugged_at_the_step_after_its_detection() -> None:
