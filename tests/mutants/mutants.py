@@ -69,6 +69,36 @@ MUTANTS = (
         quick=False,
     ),
     Mutant(
+        "fusion_sfdia/detectors/kalman_banks/mixing.py",
+        "np.diag(sensor_cov / (count - 1))",
+        "np.diag(sensor_cov / count)",
+        "tests/detectors/kalman_banks/test_mixing.py::test_mixture_in_closed_form_equals_the_printed_sum_of_inverses",
+    ),
+    Mutant(
+        "fusion_sfdia/detectors/kalman_banks/mixing.py",
+        "repeated(single(p) / count, p), found",
+        "p, found",
+        "tests/detectors/kalman_banks/test_mixing.py::test_mixture_in_closed_form_equals_the_printed_sum_of_inverses",
+    ),
+    Mutant(
+        "fusion_sfdia/detectors/stochastic_thresholds/guarantees.py",
+        "true(x, u, e) - one(x, u, e) for",
+        "true(x, u, e) + one(x, u, e) for",
+        "tests/detectors/stochastic_thresholds/test_guarantees.py::test_in_the_network_what_is_detectable_or_excludable_is_so_in_every_run",
+    ),
+    Mutant(
+        "fusion_sfdia/plant/modules.py",
+        "effect + rho * lipschitz * memory",
+        "effect + lipschitz * memory",
+        "tests/plant/test_modules.py::test_the_published_threshold_is_its_integral",
+    ),
+    Mutant(
+        "fusion_sfdia/plant/modules.py",
+        "(noise + field) * (1 - fast) / xi",
+        "(noise + field) * (1 - fast)",
+        "tests/plant/test_modules.py::test_the_published_threshold_is_its_integral",
+    ),
+    Mutant(
         "fusion_sfdia/detectors/stochastic_thresholds/guarantees.py",
         "phi > lam * upper + 2 * alpha * chi",
         "phi > upper + 2 * alpha * chi",
