@@ -12,6 +12,9 @@ from fusion_sfdia.study.published_numbers import NUMBERS, stated, write_page
 
 HERE = Path(__file__).parent
 SEE = (
+    "Readings every 1 and 0.3 ms: `fusion-sfdia run engine/noise --seeds 20 --set sampling=0.001 --set duration=100` and "
+    "`fusion-sfdia run engine/virtual-sensors --seeds 4 --set sampling=0.0003 --set 'variants=as printed,intersected' --set "
+    "inversion_seeds=0`; Fig. 7 of Shaheen 2024: `fusion-sfdia run pipeline/accommodation --seeds 10`. "
     "What else the papers print wrongly: [misprints](../explanations/misprints.md); every equation, figure and claim: "
     "[items](paper-items.md)."
 )
