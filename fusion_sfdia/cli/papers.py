@@ -27,7 +27,7 @@ def add_papers(commands: Any) -> None:
         allow_abbrev=False,
     )
     one.add_argument("--paper", choices=PAPERS, help="of one paper alone (default: all)")
-    add_common(one, seeds="runs of each scenario", full="the sizes of the papers: an hour or more", folder="results/papers")
+    add_common(one, seeds="runs of each scenario", full="the sizes of the papers: hours", folder="results/papers")
     one.set_defaults(work=_papers)
 
 
