@@ -32,15 +32,23 @@ def write_figure(folder: Path, name: str, draw: Callable[[], Figure]) -> str:
     return svg
 
 
-def figure_svg(name: str, draw: Callable[[], Figure], png: io.BytesIO | None = None, text: str = "path") -> str:
+def figure_svg(
+    name: str,
+    draw: Callable[[], Figure],
+    png: io.BytesIO | None = None,
+    text: str = "path",
+    laid_out: Callable[[Figure], object] = lambda figure: None,
+) -> str:
     """Draw a figure and return its SVG; png: where its PNG is written to, too. text: "path" for outlines that look the same
-    everywhere, "none" for text in the viewer's fonts, which takes less.
+    everywhere, "none" for text in the viewer's fonts, which takes less. laid_out: called with the figure once its parts are
+    in their places.
     """
     svg = io.BytesIO()
     with style(name, text):
         figure = draw()
         _as_text(figure)
         _lay_out(figure)
+        laid_out(figure)
         figure.savefig(svg, format="svg", metadata={"Date": None})
         if png is not None:
             figure.savefig(png, format="png", dpi=160)

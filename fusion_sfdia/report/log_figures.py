@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from datetime import timedelta
 from typing import Any
@@ -16,6 +17,7 @@ from fusion_sfdia.diagnosis.diagnose import Diagnosis
 from fusion_sfdia.diagnosis.events import Event, ProcessEvent, UndecidedEvent, listed
 from fusion_sfdia.plant.gaps import Gap
 from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.report.figure_files import SVG_DPI
 from fusion_sfdia.report.plots import COLOURS, TimeAxis, shade
 
 Array = NDArray[Any]
@@ -43,10 +45,42 @@ def time_axis(found: Diagnosis) -> TimeAxis:
     if found.clock.start is not None:
         zone = found.clock.start.strftime("%Z")
         day = f"{found.clock.start + timedelta(seconds=float(found.t[0])):%Y-%m-%d}"
-        return TimeAxis(found.clock, 1.0, f"time{f' ({zone})' if zone else ''} from {day} on")
+        return TimeAxis(found.clock, 1.0, "", f"time{f' ({zone})' if zone else ''} from {day} on")
     span = float(found.t[-1] - found.t[0])
     seconds, unit = (60.0, "min") if span <= 18_000 else (3600.0, "h") if span <= 432_000 else (86_400.0, "days")
-    return TimeAxis(found.clock, seconds, f"time ({unit})")
+    return TimeAxis(found.clock, seconds, unit, f"time ({unit})")
+
+
+def on_screen(figure: Figure, found: Diagnosis) -> dict[str, Any]:
+    """What a script needs to read and zoom a figure that is laid out: {"time": [first, last], "zone", "unit", "panels": [...]}.
+
+    time: ends of the time axis, s since 1970 in a zone, such as "Europe/Amsterdam" or "+01:00", or a number of the unit. Of
+    each panel its box [left, top, right, bottom] in the units of the SVG, the ends of its y axis with their unit, the lines
+    whose ids end with their names, and the names of its rows, each one high, where it has names in place of numbers.
+    """
+    at, (width, height) = time_axis(found), figure.get_size_inches() * SVG_DPI
+    panels, time = [], (0.0, 1.0)
+    for axes in figure.axes:
+        if axes.get_label() == "<colorbar>":
+            continue
+        place, time, ends = axes.get_position(), axes.get_xlim(), axes.get_ylim()
+        ticks = zip(axes.get_yticks().tolist(), axes.get_yticklabels(), strict=True)
+        names = {} if (lines := axes.get_lines()) else {round(y): text.get_text() for y, text in ticks}
+        unit = re.search(r"\[([^][]*)\]$", axes.get_ylabel())
+        panels.append(
+            {
+                "box": [place.x0 * width, (1 - place.y1) * height, place.x1 * width, (1 - place.y0) * height],
+                "y": ends,
+                "unit": unit[1] if unit else "",
+                "lines": [str(line.get_gid()) for line in lines],
+                "rows": {"names": names, "first": ends[1] + 0.5, "span": ends[0] - ends[1]},
+            }
+        )
+    start = found.clock.start
+    if start is None:
+        return {"time": time, "zone": "", "unit": at.unit, "panels": panels}
+    zone = "" if start.tzinfo is None else str(getattr(start.tzinfo, "key", "")) or start.isoformat()[-6:]
+    return {"time": [86_400 * day for day in time], "zone": zone, "unit": "", "panels": panels}
 
 
 def time_line(axes: Axes, found: Diagnosis, most: int = MOST_ROWS) -> None:
@@ -123,13 +157,11 @@ def overview(plant: Plant, y: Array, found: Diagnosis) -> Figure:
         rasterized=True,
     )  # fmt: skip
     faults = [e for e in found.events if e.hypothesis in names and e.kind == "sensor"]
-    rows = [names.index(e.hypothesis) + 0.42 for e in faults]
+    rows = [names.index(e.hypothesis) + 0.4 for e in faults]
     starts, ends = (
         [float(at(when)) for when in times] for times in ([e.start for e in faults], [e.end + step for e in faults])
     )
-    axes.hlines(
-        rows, starts, ends, color=COLOURS[1], linewidth=2.5, capstyle="butt", clip_on=False, rasterized=len(faults) > MANY
-    )
+    axes.hlines(rows, starts, ends, color=COLOURS[1], linewidth=2.5, capstyle="butt", rasterized=len(faults) > MANY)
     shade(axes, [(float(at(g.start)), float(at(g.end))) for g in found.gaps], color="0.85", zorder=3)
     faulty = {e.hypothesis for e in found.events}
     labels = [(i, name) for i, name in enumerate(names) if len(names) <= MOST_LABELS or name in faulty]
@@ -169,9 +201,10 @@ def near(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event], poin
     x, step, (name, colour) = at(times), _step(t), KINDS[events[0].kind]
     if found.after is not None:
         upper.fill_between(x, low, high, color=COLOURS[2], alpha=0.25, lw=0, label="expected range (95 %)")
-    upper.plot(x, middle, color=COLOURS[2], linewidth=1.2, label="expected")
-    upper.plot(x, read, line, color=COLOURS[0], markersize=3, linewidth=0.8, label="reading")
-    lower.plot(x, difference, line, color=COLOURS[0], markersize=3, linewidth=0.8)
+    dots = {"color": COLOURS[0], "markersize": 3, "linewidth": 0.8}
+    upper.plot(x, middle, color=COLOURS[2], linewidth=1.2, label="expected", gid="expected")
+    upper.plot(x, read, line, **dots, label="reading", gid="reading")
+    lower.plot(x, difference, line, **dots, gid="difference" if found.after is not None else "over its limit")
     lower.fill_between(x, -limit, limit, color="0.85", lw=0, zorder=0)
     spans = [(float(at(e.start)), float(at(e.end + step))) for e in events]
     for axes in (upper, lower):

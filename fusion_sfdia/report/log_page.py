@@ -5,6 +5,7 @@ First what was found, a sentence each, then each finding with its picture; stati
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -18,13 +19,14 @@ from numpy.typing import NDArray
 
 from fusion_sfdia import __version__
 from fusion_sfdia.common.files import atomic_write
+from fusion_sfdia.common.numerals import for_json
 from fusion_sfdia.detectors.verdicts import Verdict
 from fusion_sfdia.diagnosis.diagnose import Diagnosis
 from fusion_sfdia.diagnosis.events import EVEN, Event
 from fusion_sfdia.diagnosis.sentences import confidence_of, others_of, size_of
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.figure_files import figure_svg
-from fusion_sfdia.report.log_figures import near, overview, time_line
+from fusion_sfdia.report.log_figures import near, on_screen, overview, time_line
 from fusion_sfdia.report.page import inline, page_environment, part
 from fusion_sfdia.report.plots import panels
 
@@ -33,7 +35,7 @@ MOST_EVENTS = (200, 1000)  # of one finding, and of all together
 MOST_SENTENCES = 3  # of one finding; of one with more the first alone, and how many there are
 MOST_FIGURES = 32
 MOST_LINES = 100  # of the time line
-POINTS = (100, 500, 8000)  # of a line at least and at most, and of all figures together
+POINTS = (100, 2000, 8000)  # of a line at least and at most, and of all figures together
 WORDS = {"sensor": "sensor", "process": "process", "outside": "not learnt", "undecided": "undecided", "other": "other fault"}
 
 
@@ -50,11 +52,12 @@ class About(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """A figure of the page."""
+    """A figure of the page. plot: what figures.js needs, see `on_screen`, as JSON."""
 
     title: str
     svg: Markup
     caption: str
+    plot: str
 
 
 def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosis, about: About) -> None:
@@ -70,24 +73,25 @@ def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosi
     lines, strips = [], []
     if len(found.events) > 1:
         caption = "When each was found: on the left what, on the right which kind of fault. Grey: no rows in the log."
-        lines.append(_drawn("time-line", "Time line", lambda: _time_line(found), caption))
+        lines.append(_drawn(found, "time-line", "Time line", lambda: _time_line(found), caption))
     if found.after is not None and drawable:
         caption = (
             "Every sensor: the darker, the further its reading is from what the other sensors and the model predict. "
             "Underlined in orange: a fault. White: no reading. Grey: no rows in the log."
         )
-        strips.append(_drawn("overview", "All sensors", lambda: overview(plant, y, found), caption))
+        strips.append(_drawn(found, "overview", "All sensors", lambda: overview(plant, y, found), caption))
     findings = []
     for k, own in enumerate(groups.values()):
         figure = None
         if drawable and k < MOST_FIGURES:
-            figure = _drawn(f"f{k}", _title(found, own), partial(near, plant, y, found, own, points), _caption(own))
+            figure = _drawn(found, f"f{k}", _title(found, own), partial(near, plant, y, found, own, points), _caption(own))
         findings.append(_finding(found, own, rows) | {"title": _title(found, own), "figure": figure})
     page = (
         page_environment()
         .from_string(part("log_page.html.j2"))
         .render(
             css=Markup(part("page.css")),
+            figures=Markup(part("figures.js")),
             about=about,
             health=found.health.line if found.health else about.basis or "model not tested",
             verdict=found.verdict,
@@ -114,8 +118,10 @@ def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosi
         file.write(page)
 
 
-def _drawn(name: str, title: str, draw: Callable[[], Figure], caption: str) -> Drawn:
-    return Drawn(title, inline(figure_svg(name, draw, text="none"), name, title), caption)
+def _drawn(found: Diagnosis, name: str, title: str, draw: Callable[[], Figure], caption: str) -> Drawn:
+    plots: list[Any] = []
+    svg = figure_svg(name, draw, text="none", laid_out=lambda figure: plots.append(on_screen(figure, found)))
+    return Drawn(title, inline(svg, name, title), caption, json.dumps(for_json(plots[0])))
 
 
 def _time_line(found: Diagnosis) -> Figure:

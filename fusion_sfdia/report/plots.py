@@ -56,10 +56,11 @@ class Bars(NamedTuple):
 
 
 class TimeAxis(NamedTuple):
-    """How times t (s) are drawn: wall-clock times, or minutes, hours or days."""
+    """How times t (s) are drawn: wall-clock times, or in a unit of so many seconds, minutes, hours or days."""
 
     clock: Clock
     seconds: float
+    unit: str
     label: str
 
     def __call__(self, t: Any) -> Any:
@@ -80,17 +81,17 @@ class TimeAxis(NamedTuple):
             axes.xaxis.set_major_formatter(formatter)
 
 
-MINUTES = TimeAxis(Clock(), 60.0, "time (min)")
+MINUTES = TimeAxis(Clock(), 60.0, "min", "time (min)")
 
 
 @contextmanager
 def style(salt: str = "fusion-sfdia", text: str = "path") -> Iterator[None]:
     """Within the block, figures have the project's style, whatever the user's own; salt fixes the names inside an SVG, text
-    states how its texts are written.
+    states how its texts are written. With "none", for a page, lines keep their points: a reader may zoom.
     """
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
-        matplotlib.rcParams.update({**STYLE, "svg.hashsalt": salt, "svg.fonttype": text})
+        matplotlib.rcParams.update({**STYLE, "svg.hashsalt": salt, "svg.fonttype": text, "path.simplify": text != "none"})
         yield
 
 

@@ -8,23 +8,28 @@ import re
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.dates import num2date
+from matplotlib.figure import Figure
 from process_bank import SD, SIZE, ProcessBank
 from toy_plants import Array, readings, tanks
 
 from fusion_sfdia.common.clock import Clock
+from fusion_sfdia.detectors.detector import joined
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.diagnosis.diagnose import Diagnosis, diagnose_run
+from fusion_sfdia.diagnosis.hindsight_steps import Residuals
 from fusion_sfdia.logs.columns import Source
 from fusion_sfdia.logs.conversion import conversion
 from fusion_sfdia.logs.csv_log import read_log
 from fusion_sfdia.plant.gaps import Gap
 from fusion_sfdia.plant.log import Log
-from fusion_sfdia.report.log_figures import MOST_POINTS, broken, thinned, time_axis
+from fusion_sfdia.report.figure_files import figure_svg
+from fusion_sfdia.report.log_figures import MOST_POINTS, broken, near, on_screen, thinned, time_axis
 from fusion_sfdia.report.log_page import About, write_page
 from fusion_sfdia.report.log_report import FILES, as_text, draw, write_diagnosis
 from fusion_sfdia.report.log_units import LogUnits
@@ -177,8 +182,8 @@ def test_the_report_states_health_events_and_gaps(tmp_path: Path) -> None:
     wall = diagnose_run(LeaveOneOutBank(PLANT, false_alarm=1e-6), Log(T[kept], y[kept], U[kept, 0]), clock=WHEN)
     write_diagnosis(tmp_path, PLANT, y[kept], U[kept, 0], wall, About("<unit> 4.csv", "loo"))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "<script" not in page and not re.search(r'(src|xlink:href|href)="(?!#|data:)', page)  # nothing is fetched
-    text = html.unescape(re.sub(r"<svg.*?</svg>|<style.*?</style>|<[^>]*>", " ", page, flags=re.DOTALL))
+    assert page.count("<script>") == 1 and not re.search(r'(src|xlink:href|href)="(?!#|data:)', page)  # nothing is fetched
+    text = html.unescape(re.sub(r"<svg.*?</svg>|<(style|script)>.*?</\1>|<[^>]*>", " ", page, flags=re.DOTALL))
     for told in (
         "Diagnosis of <unit> 4.csv",
         "37 rows of 4 sensors of two-tanks, from 2026-03-01 23:58:05 to 2026-03-02 00:01:20; all times in UTC+01:00.",
@@ -269,3 +274,49 @@ def test_many_times_of_one_sensor_are_one_finding(tmp_path: Path) -> None:
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "15 occurrences in all, from 5 s to 145 s; see Numbers." in page and page.count("<article") == 1
     assert page.count("<td>bias</td>") == 15 and page.count("q12 read") == 1
+
+
+def test_a_figure_states_how_its_lines_are_read_as_times_and_values() -> None:
+    q12 = [e for e in BOTH.events if e.hypothesis == "q12"]
+    plots = list[dict[str, Any]]()
+    for clock in (BOTH.clock, WHEN):
+        seen = replace(BOTH, clock=clock)
+
+        def draw_one(seen: Diagnosis = seen) -> Figure:
+            return near(PLANT, BIASED, seen, q12)
+
+        svg = figure_svg("f", draw_one, text="none", laid_out=lambda figure, seen=seen: plots.append(on_screen(figure, seen)))  # type: ignore[misc]
+    seconds, wall = plots
+    assert (seconds["unit"], seconds["zone"]) == ("min", "") and (wall["unit"], wall["zone"]) == ("", "+01:00")
+    start = WHEN.start.timestamp()  # type: ignore[union-attr]
+    np.testing.assert_allclose((np.array(wall["time"]) - start) / 60, seconds["time"], atol=1e-5)  # days since 1970 have 1e-6 s
+    upper, lower, strip = wall["panels"]
+    assert (upper["lines"], lower["lines"], strip["lines"]) == (["expected", "reading"], ["difference"], [])
+    assert upper["unit"] == lower["unit"] == "m3/s" and strip["rows"]["names"][0] == "q12"
+    (path,) = re.findall(r'id="reading">\s*<path d="([^"]*)"', svg)
+    points = np.array(re.findall(r"[ML] (\S+) (\S+)", path), float)
+    left, top, right, bottom = upper["box"]
+    t = wall["time"][0] + (points[:, 0] - left) / (right - left) * np.ptp(wall["time"]) - start
+    y = upper["y"][0] + (bottom - points[:, 1]) / (bottom - top) * np.ptp(upper["y"])
+    rows = np.searchsorted(T, t - 1)
+    np.testing.assert_allclose(t, T[rows], atol=0.01)
+    np.testing.assert_allclose(y, BIASED[rows, 2], atol=1e-6 * np.ptp(upper["y"]))  # an SVG of matplotlib has 6 decimals
+
+
+@pytest.mark.long
+def test_the_page_of_a_long_log_has_less_than_two_megabytes(tmp_path: Path) -> None:
+    count = 100_000
+    t, noise = 5.0 * np.arange(1, count + 1), np.random.default_rng(0).normal(size=(count, 4))
+    index = np.minimum(np.arange(count), len(T) - 1)
+    decisions = joined([BOTH.decisions] * (count // len(T)))
+    sd = np.broadcast_to(PLANT.sensor_sigma, (count, 4))
+    after = Residuals(noise * sd, sd)
+    events = tuple(
+        replace(e, hypothesis=s, start=100.0 * k, end=4e5)
+        for k in range(10)
+        for s in PLANT.sensor_names
+        for e in [BOTH.events[2]]
+    )
+    seen = replace(BOTH, t=t, decisions=decisions, after=after, events=events, clock=WHEN)
+    write_page(tmp_path / "report.html", PLANT, BIASED[index] + noise * sd, seen, About("long.csv", "process-bank"))
+    assert (tmp_path / "report.html").stat().st_size < 2_000_000

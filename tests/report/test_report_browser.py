@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
+from datetime import datetime, timedelta, timezone
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 from toy_plants import readings, tanks
 from toy_scenario import TOY
 
+from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.diagnosis.diagnose import diagnose_run
 from fusion_sfdia.plant.log import Log
@@ -118,19 +120,55 @@ def relative_luminance(colour: str) -> float:
     return sum(w * v for w, v in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
 
 
-def test_the_report_of_a_diagnosis_fits_a_phone_and_fetches_nothing(browser: Any, tmp_path: Path) -> None:
-    plant = tanks()
+@pytest.fixture(scope="module")
+def diagnosis(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The address of the report of a log whose third sensor, q12, has a bias from 155 s on."""
+    plant, path = tanks(), tmp_path_factory.mktemp("diagnosis") / "report.html"
     t, _, y, u = readings(plant, 60, 1, seed=0)
     y = y[:, 0] + 20 * plant.sensor_sigma * np.outer(t > 150, np.arange(4) == 2)
-    found = diagnose_run(LeaveOneOutBank(plant), Log(t, y, u[:, 0]))
-    write_page(
-        tmp_path / "report.html", plant, y, found, About("a-log-with-a-name-that-is-longer-than-a-phone-is-wide.csv", "loo")
-    )
+    clock = Clock(datetime(2026, 3, 1, 23, 58, tzinfo=timezone(timedelta(hours=1))))
+    found = diagnose_run(LeaveOneOutBank(plant), Log(t, y, u[:, 0]), clock=clock)
+    write_page(path, plant, y, found, About("a-log-with-a-name-that-is-longer-than-a-phone-is-wide.csv", "loo"))
+    return path.as_uri()
+
+
+def test_the_report_of_a_diagnosis_fits_a_phone_and_fetches_nothing(browser: Any, diagnosis: str) -> None:
     phone = {"width": 360, "height": 740, "deviceScaleFactor": 2, "mobile": True}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
-    browser.get((tmp_path / "report.html").as_uri())
+    browser.get(diagnosis)
     assert browser.execute_script("return document.documentElement.scrollWidth <= window.innerWidth")
     assert browser.execute_script("return performance.getEntriesByType('resource').length") == 0
     near = browser.execute_script("return document.querySelector('.near svg').getBoundingClientRect().width")
     assert 280 < near < 360  # as wide as the screen, not to be scrolled
     browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_a_figure_is_read_and_zoomed(browser: Any, diagnosis: str) -> None:
+    browser.get(diagnosis)
+    action_chains = webdriver.ActionChains
+    paper = browser.find_element("css selector", ".near .paper")
+    svg, says = paper.find_element("css selector", "svg"), browser.find_element("css selector", ".near output")
+    reading = paper.find_element("css selector", "[id$='-reading'] path")
+    browser.execute_script("arguments[0].scrollIntoView()", paper)
+    box, whole = svg.rect, reading.get_attribute("d")
+    action_chains(browser).move_to_element(svg).perform()
+    assert re.fullmatch(r"2026-03-02 00:0\d:\d[05]: expected \S+ m3/s, reading \S+ m3/s, difference \S+ m3/s", says.text)
+    across = box["width"] // 5
+    action_chains(browser).move_to_element(svg).click_and_hold().move_by_offset(across, 0).release().perform()
+    assert "zoomed" in paper.get_attribute("class") and reading.get_attribute("d") != whole
+    action_chains(browser).double_click(svg).perform()
+    assert "zoomed" not in paper.get_attribute("class") and reading.get_attribute("d") == whole
+
+    keys = webdriver.Keys
+    browser.execute_script("arguments[0].focus()", paper)
+    told = []
+    for key in (keys.HOME, keys.ARROW_RIGHT, keys.ARROW_RIGHT, keys.ARROW_LEFT, keys.END):
+        action_chains(browser).send_keys(key).perform()
+        told.append(says.text.split(": ")[0])
+    assert told == [*sorted(told[:3]), told[1], "2026-03-02 00:03:00"] and len(set(told)) == 4
+    action_chains(browser).send_keys("++").perform()
+    assert "zoomed" in paper.get_attribute("class")
+    assert "23:5" in told[0] and told[0] not in paper.text
+    action_chains(browser).send_keys(keys.ESCAPE).perform()
+    assert "zoomed" not in paper.get_attribute("class") and says.text.startswith("Point at the picture")
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
