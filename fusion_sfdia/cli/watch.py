@@ -6,7 +6,8 @@ import argparse
 import os
 import sys
 import threading
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from datetime import UTC, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +26,7 @@ from fusion_sfdia.common.numerals import decimal, integer
 
 if TYPE_CHECKING:
     from fusion_sfdia.live.saving import SavedWatch
+    from fusion_sfdia.live.status import Status
     from fusion_sfdia.live.webhook import Webhook
     from fusion_sfdia.logs.log_map import LogMap
 
@@ -96,6 +98,12 @@ def add_watch(commands: Any) -> None:
         "--alarms", metavar="URL", help="serve alarms and health of sensors over OPC UA there, such as opc.tcp://127.0.0.1:4841"
     )
     one.add_argument("--metrics", metavar="HOST:PORT", help="serve the status to Prometheus; a port alone: on this machine")
+    one.add_argument(
+        "--page", type=integer, metavar="PORT", help="show state, findings and figures to a browser on this machine"
+    )
+    one.add_argument(
+        "--page-hours", type=decimal, default=4.0, metavar="H", help="hours that the page goes back, of the rows (default: 4)"
+    )
     add_columns(one, "where they are missing")
     one.set_defaults(work=_watch)
 
@@ -137,7 +145,7 @@ def _watched(chosen: argparse.Namespace, webhook: Webhook | None) -> int:
     from fusion_sfdia.live.left_out_lines import Remarks
     from fusion_sfdia.live.saving import SavedWatch
     from fusion_sfdia.live.security import SCHEMES, address, remarked_logs
-    from fusion_sfdia.live.status import Status, beating, endpoint, served
+    from fusion_sfdia.live.status import Status, beating, endpoint, metrics_at, served
     from fusion_sfdia.logs.log_map import AT_THE_SAMPLE, PLAIN_MAP, load_map
 
     for option, seconds in (("status-every", chosen.status_every), ("silent-after", chosen.silent_after)):
@@ -189,7 +197,8 @@ def _watched(chosen: argparse.Namespace, webhook: Webhook | None) -> int:
             remarked_logs(("asyncua", "asyncuagds"), refused),
             _alarms(chosen, saved),
             beating(chosen.status_every, beat),
-            nullcontext() if at is None else served(*at, status),
+            nullcontext() if at is None else served("metrics", *at, metrics_at(status)),
+            _page(chosen, saved, status),
         ):
             if chosen.opcua:
                 _server(chosen, saved)
@@ -209,6 +218,25 @@ def _alarms(chosen: argparse.Namespace, saved: SavedWatch) -> AbstractContextMan
     from fusion_sfdia.live.alarm_server import alarms_served
 
     return nullcontext() if chosen.alarms is None else alarms_served(chosen.alarms, saved)
+
+
+@contextmanager
+def _page(chosen: argparse.Namespace, saved: SavedWatch, status: Status) -> Iterator[None]:
+    """Within the block, the page of --page is there."""
+    if chosen.page is None:
+        yield
+        return
+    from fusion_sfdia.live.page import LivePage
+    from fusion_sfdia.live.status import served
+
+    if not 0 <= chosen.page <= 65535:
+        raise ValueError(f"--page is {chosen.page}; expected a port, such as 8080")
+    page = LivePage(saved.watch, status, chosen.page_hours)
+    saved.takers.append(page.taken)
+    saved.outlets.append(lambda change, line: page.changed(change))
+    with served("page", "127.0.0.1", chosen.page, page.answer) as port:
+        _say(f"page: http://127.0.0.1:{port}/")
+        yield
 
 
 def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap) -> None:

@@ -135,6 +135,10 @@ class Changes:
         self.count += 1
         return [*found, Change(self.count, "reset", t, reason=reason)]
 
+    def open_events(self) -> dict[int, Event]:
+        """The events that stand, by their ids."""
+        return {event.id: self._event(i) for i, event in self.standing.items()}
+
     def _closed(self, i: int, t: float) -> Change:
         event = replace(self._event(i), open=False)
         return Change(self.standing.pop(i).id, "closed", t, event)

@@ -38,6 +38,7 @@ class SavedWatch:
     whole: bool = True  # whether all lines of the rows taken are written
     status: Status | None = None
     outlets: list[Callable[[Change, str], object]] = field(default_factory=list)  # called with each change and its line
+    takers: list[Callable[[tuple[Sample, ...]], object]] = field(default_factory=list)  # called with the rows diagnosed
     undivided: Callable[[], AbstractContextManager[None]] = nullcontext  # around each row: a signal may end it, not break it
 
     def __post_init__(self) -> None:
@@ -77,6 +78,8 @@ class SavedWatch:
         self.rows, self.whole = self.rows + len(found), True
         if self.status is not None:
             self.status.taken(found)
+        for taker in self.takers:
+            taker(found)
         if self.rows - self.saved >= self.every:
             try:
                 self.save()

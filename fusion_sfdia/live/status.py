@@ -5,19 +5,24 @@ from __future__ import annotations
 import json
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from ipaddress import ip_address
 from typing import Any, NamedTuple
+from urllib.parse import urlsplit
 
 import numpy as np
 
+from fusion_sfdia.common.files import explained
 from fusion_sfdia.detectors.verdicts import Conclusion, Verdict
 from fusion_sfdia.diagnosis.device_health import DeviceHealth
 from fusion_sfdia.diagnosis.watch import Sample, Watch
 
 RECENT = 100  # rows over which the share of missing readings is taken
+LAST = 1.0  # s at the end for a heartbeat that is under way
+PATIENCE = 30.0  # s for which a request may be under way
 SILENT = 10.0  # steps of the plant without a row, after which a watch is blind
 
 
@@ -106,6 +111,7 @@ class Status:
         self.watch, self.remarks, self.now = watch, remarks, now
         self.silent = SILENT * watch.detector.plant.dt if silent is None else silent
         self.listeners: list[Callable[[Report], object]] = []
+        self.lock = threading.Lock()  # of all that follows
         self.rows, self.last, self.began = 0, "", now()
         self.arrived: datetime | None = None
         self.conclusion = Conclusion(Verdict.BLIND, "no row was judged yet")
@@ -118,25 +124,28 @@ class Status:
         """Rows that were diagnosed."""
         if not samples:
             return
-        before = self._stands(self._waited())
-        self.arrived, clock, sample = self.now(), self.watch.clock, samples[-1]
-        self.conclusion, self.health, self.last = sample.conclusion, sample.device_health, clock.at(sample.t)
-        self.rows += len(samples)
-        self.missing.extend(float(np.mean(np.isnan(s.y))) for s in samples)
-        if clock.start is not None and clock.start.tzinfo is not None:
-            self.stamp = clock.start.timestamp() + sample.t
-            self.lag = self.arrived.timestamp() - self.stamp
+        with self.lock:
+            before = self._stands(self._waited())
+            self.arrived, clock, sample = self.now(), self.watch.clock, samples[-1]
+            self.conclusion, self.health, self.last = sample.conclusion, sample.device_health, clock.at(sample.t)
+            self.rows += len(samples)
+            self.missing.extend(float(np.mean(np.isnan(s.y))) for s in samples)
+            if clock.start is not None and clock.start.tzinfo is not None:
+                self.stamp = clock.start.timestamp() + sample.t
+                self.lag = self.arrived.timestamp() - self.stamp
         if (self.conclusion.verdict, self.health) != (before[0].verdict, before[1]):
             self.beat()
 
     def report(self) -> Report:
         """The report of this moment."""
-        waited, missing = self._waited(), list(self.missing)
-        known, health = self._stands(waited)
-        age = np.nan if self.arrived is None else waited
-        share = float(np.mean(missing)) if missing else 0.0
-        of_sensors = dict(zip(self.watch.detector.plant.sensor_names, health, strict=True))
-        return Report(known, self.last, self.rows, share, self.lag, age, self.stamp, self.remarks(), of_sensors)
+        remarks = self.remarks()
+        with self.lock:
+            waited = self._waited()
+            known, health = self._stands(waited)
+            age = np.nan if self.arrived is None else waited
+            share = float(np.mean(self.missing)) if self.missing else 0.0
+            of_sensors = dict(zip(self.watch.detector.plant.sensor_names, health, strict=True))
+            return Report(known, self.last, self.rows, share, self.lag, age, self.stamp, remarks, of_sensors)
 
     def _waited(self) -> float:
         """Seconds since the last row, or since the beginning."""
@@ -164,39 +173,85 @@ def beating(every: float, beat: Callable[[], object]) -> Iterator[None]:
         while not ended.wait(every):
             beat()
 
+    thread = threading.Thread(target=run, daemon=True)
     if every:
-        threading.Thread(target=run, daemon=True).start()
+        thread.start()
     try:
         yield
     finally:
         ended.set()
+        if every:
+            thread.join(LAST)
+
+
+class Answer(NamedTuple):
+    """What a server sends: type and text of the content, and further headers."""
+
+    kind: str
+    text: str
+    headers: Mapping[str, str] = {}
+
+
+def metrics_at(status: Status) -> Callable[[str], Answer | None]:
+    """The answers for Prometheus, by their paths."""
+
+    def answer(path: str) -> Answer | None:
+        found = path in ("/", "/metrics")
+        return Answer("text/plain; version=0.0.4; charset=utf-8", status.report().metrics) if found else None
+
+    return answer
 
 
 @contextmanager
-def served(host: str, port: int, status: Status) -> Iterator[int]:
-    """Within the block, /metrics on this address gives `Report.metrics`; the port, of 0 a free one."""
+def served(option: str, host: str, port: int, answer: Callable[[str], Answer | None]) -> Iterator[int]:
+    """Within the block, a server at this address gives the answer for each path, 404 for None; the port, of 0 a free one.
+
+    ValueError, which names the option, where the address cannot be had. On an address of this machine alone only requests
+    that name it are answered: a page of another site cannot read it under a name of its own.
+    """
 
     class Handler(BaseHTTPRequestHandler):
+        timeout = PATIENCE
+
         def do_GET(self) -> None:
-            found = self.path.partition("?")[0] in ("/", "/metrics")
-            body = status.report().metrics.encode() if found else b"metrics are at /metrics\n"
-            self.send_response(200 if found else 404)
-            self.send_header("Content-Type", "text/plain; version=0.0.4; charset=utf-8")
-            self.send_header("Content-Length", str(len(body)))
+            named = urlsplit(f"//{self.headers.get('Host', '')}").hostname or ""
+            known = _is_here(named) or not _is_here(host)
+            found = answer(self.path.partition("?")[0]) if known else None
+            kind, text, headers = found or Answer("text/plain; charset=utf-8", "there is nothing at this address\n")
+            body = text.encode()
+            self.send_response(404 if found is None else 200)
+            for name, value in {"Content-Type": kind, "Content-Length": str(len(body)), **headers}.items():
+                self.send_header(name, value)
             self.end_headers()
-            self.wfile.write(body)
+            with suppress(ConnectionError):  # the browser has gone
+                self.wfile.write(body)
 
         def log_message(self, format: str, *arguments: Any) -> None:
             """Requests are no remarks."""
 
-    server = ThreadingHTTPServer((host, port), Handler)
+    try:
+        server = ThreadingHTTPServer((host, port), Handler)
+    except OSError as error:
+        raise ValueError(
+            f"--{option}: {host}:{port} cannot be served ({explained(error)}); name another port, or end what uses it"
+        ) from error
     server.daemon_threads = True
-    threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True).start()
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True)
+    thread.start()
     try:
         yield int(server.server_address[1])
     finally:
         server.shutdown()
+        thread.join()
         server.server_close()
+
+
+def _is_here(host: str) -> bool:
+    """Whether it is an address of this machine alone."""
+    try:
+        return host == "localhost" or ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 def endpoint(text: str) -> tuple[str, int]:

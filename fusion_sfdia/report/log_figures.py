@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
+from matplotlib.ticker import FuncFormatter, PercentFormatter
 from numpy.typing import NDArray
 
 from fusion_sfdia.diagnosis.diagnose import Diagnosis
@@ -30,7 +30,7 @@ MANY = 500  # events, of which more are drawn as pixels
 MOST_DOTS = 200  # of a line whose points are marked
 MOST_BESIDE = 3  # other verdicts beside that of a finding
 LONGEST = 32  # characters of a name beside an axis
-LOUD = 6.0  # standard deviations that the overview shows as the darkest
+USUAL, LOUD = 3.0, 6.0  # standard deviations within which readings are as usual, and that the overview shows as the darkest
 KINDS = {  # of events: the word and the colour
     "process": ("process or model", COLOURS[1]),
     "outside": ("not learnt", COLOURS[2]),
@@ -135,25 +135,25 @@ def _step(t: Array) -> float:
 
 
 def overview(plant: Plant, y: Array, found: Diagnosis) -> Figure:
-    """Every sensor over time: the darker, the further its reading (K, N) is from what the others predict, white where missing;
-    a line under what is a fault.
+    """Every sensor over time: the darker, the further its reading (K, N) is from what the others predict, see `_differences`,
+    white where missing; a line under what is a fault.
     """
-    assert found.after is not None
     at, names, step = time_axis(found), plant.sensor_names, _step(found.t)
     edges = np.linspace(found.t[0], found.t[-1] + step, min(len(found.t), MOST_COLUMNS) + 1)
     which = np.clip(np.searchsorted(edges, found.t, side="right") - 1, 0, edges.size - 2)
     first = np.flatnonzero(np.diff(which, prepend=-1))  # of each cell that has samples
     cells = np.full((edges.size - 1, len(names)), -1.0)
-    with np.errstate(invalid="ignore"):
-        for i, (error, sd) in enumerate(zip(found.after.error.T, found.after.sd.T, strict=True)):
-            z = np.abs(error / sd)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for i in range(len(names)):
+            error, usual = _differences(found, i)
+            z = np.abs(error / usual)
             z[~(np.isfinite(y[:, i]) & np.isfinite(z))] = -1.0
             cells[which[first], i] = np.maximum.reduceat(z, first)
     height = max(1.8, 0.9 + len(names) * (0.17 if len(names) <= MOST_LABELS else 0.06))
     figure = Figure(figsize=(6.0, height), layout="constrained")
     axes = figure.subplots()
     mesh = axes.pcolormesh(
-        at(edges), np.arange(len(names) + 1) - 0.5, np.ma.masked_less(cells.T, 0.0), cmap="Blues", vmin=0, vmax=LOUD,
+        at(edges), np.arange(len(names) + 1) - 0.5, np.ma.masked_less(cells.T, 0.0), cmap="Blues", vmin=0, vmax=LOUD / USUAL,
         rasterized=True,
     )  # fmt: skip
     faults = [e for e in found.events if e.hypothesis in names and e.kind == "sensor"]
@@ -172,7 +172,11 @@ def overview(plant: Plant, y: Array, found: Diagnosis) -> Figure:
     at.label_on(axes)
     axes.grid(visible=False)
     bar = figure.colorbar(mesh, ax=axes, location="top", shrink=0.6, aspect=40, pad=0.01)
-    bar.set_label("distance from the prediction, in standard deviations (darkest: 6 or more)", fontsize=8)
+    if found.after is not None:
+        bar.formatter = FuncFormatter(lambda z, _: f"{USUAL * z:g}")
+        bar.set_label(f"distance from the prediction, in standard deviations (darkest: {LOUD:g} or more)", fontsize=8)
+    else:
+        bar.set_label(f"distance from the prediction over its limit (darkest: {LOUD / USUAL:g} or more)", fontsize=8)
     return figure
 
 
@@ -195,7 +199,7 @@ def near(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event], poin
     line = ".-" if shown.size == reading.size and shown.size < MOST_DOTS else "-"
     figure = Figure(figsize=(4.8, 4.2), layout="constrained")
     upper, lower, strip = figure.subplots(3, 1, sharex=True, height_ratios=(6, 3, 1.2))
-    sd = usual / 3
+    sd = usual / USUAL
     each = [v[shown] for v in (expected - 2 * sd, expected + 2 * sd, expected, reading, error, usual)]
     times, (low, high, middle, read, difference, limit) = broken(t[window][shown], each, found.gaps)
     x, step, (name, colour) = at(times), _step(t), KINDS[events[0].kind]
@@ -251,11 +255,11 @@ def shown_sensor(plant: Plant, found: Diagnosis, events: Sequence[Event]) -> int
 
 
 def _differences(found: Diagnosis, i: int) -> tuple[Array, Array]:
-    """Of a sensor how far its readings are from what is expected (K,), and how far is usual: 3 standard deviations of the
+    """Of a sensor how far its readings are from what is expected (K,), and how far is usual: USUAL standard deviations of the
     second look. Without that the detector's residual over its threshold, and 1.
     """
     if found.after is not None:
-        return found.after.error[:, i], 3 * found.after.sd[:, i]
+        return found.after.error[:, i], USUAL * found.after.sd[:, i]
     with np.errstate(divide="ignore", invalid="ignore"):
         over = found.decisions.residual[:, i] / found.decisions.threshold[:, i]
     return over, np.ones_like(over)

@@ -62,35 +62,15 @@ class Drawn(NamedTuple):
 
 def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosis, about: About) -> None:
     """Write report.html of readings y (K, N), NaN where missing, whole or not at all; every name and text is escaped."""
-    passing, drawable = set(map(id, found.passing)), len(found.t) > 1
-    groups: dict[tuple[str, str, str, bool], list[Event]] = {}
-    for e in found.findings:
-        if id(e) not in passing:
-            groups.setdefault((e.kind, e.hypothesis, e.fault, e.fault in SIDED and e.size < 0), []).append(e)
-    least, most, all_of_them = POINTS
-    points = min(most, max(least, all_of_them // max(len(groups), 1)))
-    rows = min(MOST_EVENTS[0], max(1, MOST_EVENTS[1] // max(len(groups), 1)))
-    lines, strips = [], []
-    if len(found.events) > 1:
-        caption = "When each was found: on the left what, on the right which kind of fault. Grey: no rows in the log."
-        lines.append(_drawn(found, "time-line", "Time line", lambda: _time_line(found), caption))
-    if found.after is not None and drawable:
-        caption = (
-            "Every sensor: the darker, the further its reading is from what the other sensors and the model predict. "
-            "Underlined in orange: a fault. White: no reading. Grey: no rows in the log."
-        )
-        strips.append(_drawn(found, "overview", "All sensors", lambda: overview(plant, y, found), caption))
-    findings = []
-    for k, own in enumerate(groups.values()):
-        figure = None
-        if drawable and k < MOST_FIGURES:
-            figure = _drawn(found, f"f{k}", _title(found, own), partial(near, plant, y, found, own, points), _caption(own))
-        findings.append(_finding(found, own, rows) | {"title": _title(found, own), "figure": figure})
+    passing, drawable = found.passing, len(found.t) > 1
+    lines = [line_drawn(found)] if len(found.events) > 1 else []
+    strips = [overview_drawn(plant, y, found)] if found.after is not None and drawable else []
+    findings = findings_of(plant, y, found, MOST_FIGURES if drawable else 0)
     page = (
         page_environment()
-        .from_string(part("log_page.html.j2"))
+        .get_template("log_page.html.j2")
         .render(
-            css=Markup(part("page.css")),
+            css=Markup(part("page.css") + part("log_page.css")),
             figures=Markup(part("figures.js")),
             about=about,
             health=found.health.line if found.health else about.basis or "model not tested",
@@ -106,7 +86,7 @@ def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosi
             remarks=[*(line for line in found.remarks if line != found.limit), *about.notes],
             limit=found.limit,
             findings=findings,
-            passing=[found.sentence(e) for e in found.passing[: MOST_EVENTS[0]]],
+            passing=[found.sentence(e) for e in passing[: MOST_EVENTS[0]]],
             hidden=max(0, len(passing) - MOST_EVENTS[0]),
             drawn=sum(f["figure"] is not None for f in findings),
             lines=lines,
@@ -116,6 +96,40 @@ def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosi
     )
     with atomic_write(path) as file:
         file.write(page)
+
+
+def findings_of(plant: Plant, y: NDArray[np.float64], found: Diagnosis, figures: int) -> list[dict[str, Any]]:
+    """The findings of readings y (K, N), the most important first, as texts; the first ones, so many, with a figure."""
+    passing = set(map(id, found.passing))
+    groups: dict[tuple[str, str, str, bool], list[Event]] = {}
+    for e in found.findings:
+        if id(e) not in passing:
+            groups.setdefault((e.kind, e.hypothesis, e.fault, e.fault in SIDED and e.size < 0), []).append(e)
+    least, most, all_of_them = POINTS
+    points = min(most, max(least, all_of_them // max(len(groups), 1)))
+    rows = min(MOST_EVENTS[0], max(1, MOST_EVENTS[1] // max(len(groups), 1)))
+    findings = []
+    for k, own in enumerate(groups.values()):
+        figure, title = None, _title(found, own)
+        if k < figures:
+            figure = _drawn(found, f"f{k}", title, partial(near, plant, y, found, own, points), _caption(own))
+        findings.append(_finding(found, own, rows) | {"title": title, "figure": figure})
+    return findings
+
+
+def line_drawn(found: Diagnosis) -> Drawn:
+    """The time line of the events."""
+    caption = "When each was found: on the left what, on the right which kind of fault. Grey: no rows in the log."
+    return _drawn(found, "time-line", "Time line", lambda: _time_line(found), caption)
+
+
+def overview_drawn(plant: Plant, y: NDArray[np.float64], found: Diagnosis) -> Drawn:
+    """All sensors over time."""
+    caption = (
+        "Every sensor: the darker, the further its reading is from what the other sensors and the model predict. "
+        "Underlined in orange: a fault. White: no reading. Grey: no rows in the log."
+    )
+    return _drawn(found, "overview", "All sensors", lambda: overview(plant, y, found), caption)
 
 
 def _drawn(found: Diagnosis, name: str, title: str, draw: Callable[[], Figure], caption: str) -> Drawn:

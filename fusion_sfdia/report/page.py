@@ -11,7 +11,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, StrictUndefined
+from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from fusion_sfdia.common.files import atomic_write
@@ -78,7 +78,14 @@ def write_report(path: Path, command: str, sections: list[Section], manifest: di
 
 def page_environment() -> Environment:
     """How pages are made of templates: every text of others is escaped, and shown as `plain` text; Markup is our own."""
-    return Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=_finalized)
+    return Environment(
+        loader=FunctionLoader(part),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=_finalized,
+    )
 
 
 def _finalized(value: Any) -> Any:

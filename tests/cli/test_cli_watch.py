@@ -5,11 +5,14 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import subprocess
 import sys
+import urllib.request
 from datetime import datetime, timedelta
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -185,3 +188,26 @@ def test_a_line_that_is_too_long_is_refused_whole(
     times = [found["t"] for found in map(json.loads, out.splitlines()) if found["event"] == "sample"]
     assert times == [5.0 * k for k in range(1, 201) if k != 51]
     assert err.count("it has more than 1000000 bytes; expected a row") == 2
+
+
+def test_a_page_is_served_while_rows_come(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], log: Path
+) -> None:
+    rows, pages = log.read_bytes().splitlines(keepends=True), list[str]()
+
+    class Asking(io.BytesIO):
+        """Rows, after the 161st of which the page is asked for."""
+
+        def readline(self, *size: Any) -> bytes:
+            if self.tell() == sum(map(len, rows[:162])):
+                address = re.findall(r"page: (http://127.0.0.1:[0-9]+/)", capsys.readouterr().err)[0]
+                with urllib.request.urlopen(address, timeout=PATIENCE) as found:
+                    pages.append(found.read().decode())
+            return super().readline(*size)
+
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=Asking(b"".join(rows))))
+    assert main(["watch", *DETECTOR, "--page", "0", "--page-hours", "0.1"]) == 0
+    (page,) = pages
+    assert "The last 0.1 hours" in page and "q2 has read" in page and "q2: out of specification" in page
+    assert watched(monkeypatch, b"", "--page", "70000") == 2
+    assert "--page is 70000; expected a port" in capsys.readouterr().err

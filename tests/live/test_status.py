@@ -18,7 +18,7 @@ from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBa
 from fusion_sfdia.detectors.verdicts import Verdict
 from fusion_sfdia.diagnosis.watch import Watch
 from fusion_sfdia.live.saving import SavedWatch
-from fusion_sfdia.live.status import Report, Status, beating, endpoint, served
+from fusion_sfdia.live.status import Report, Status, beating, endpoint, metrics_at, served
 
 START = datetime(2026, 3, 1, 14, 0, tzinfo=UTC)
 PATIENCE = 60  # s, after which the test fails instead of hanging
@@ -106,7 +106,7 @@ def test_a_beat_comes_from_another_thread_until_the_end() -> None:
 
 def test_metrics_are_text_for_prometheus() -> None:
     status, _ = watched(40, Wall())
-    with served("127.0.0.1", 0, status) as port:
+    with served("metrics", "127.0.0.1", 0, metrics_at(status)) as port:
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=PATIENCE) as answer:
             body, kind = answer.read().decode(), answer.headers["Content-Type"]
         with pytest.raises(urllib.error.HTTPError, match="404"):
