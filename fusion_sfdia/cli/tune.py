@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 import warnings
+from contextlib import nullcontext
 from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -125,10 +126,10 @@ def _tune(chosen: argparse.Namespace) -> int:
 
 
 def _tuned(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.detectors.registry import plant
+    from fusion_sfdia.detectors.registry import find_detector, plant
     from fusion_sfdia.learning.tuning.tune import HealthySource, tune
     from fusion_sfdia.learning.tuning.words import as_text
-    from fusion_sfdia.report.progress import working
+    from fusion_sfdia.report.progress import progress, working
 
     if chosen.out.is_dir() or (chosen.out.is_file() and not chosen.force):
         raise ValueError(f"{chosen.out} exists; name another file with --out, or replace it with --force")
@@ -138,12 +139,14 @@ def _tuned(chosen: argparse.Namespace) -> int:
         warn_of(path, one.brief)
     count = sum(len(one.log.t) for one in logs)
     print(f"fusion-sfdia: learning from {count} samples; this may take minutes", file=sys.stderr)
-    with working("learning"):
+    detector = named_detector(chosen)
+    with nullcontext() if find_detector(detector).commissions else working("learning"):  # of those no steps are known
         tuned = tune(
             model,
             *(one.log for one in logs),
             false_alarm=chosen.false_alarm,
-            detector=named_detector(chosen),
+            detector=detector,
+            each=progress,
             strict=chosen.strict,
             sources=[HealthySource(str(path), one.clock) for path, one in zip(chosen.healthy, logs, strict=True)],
             made=date.today().isoformat(),

@@ -32,7 +32,7 @@ from fusion_sfdia.filters.estimators import GaussianState
 from fusion_sfdia.filters.gaussian import dense
 from fusion_sfdia.learning.commissioning.commission import as_runs
 from fusion_sfdia.learning.commissioning.parameters import at, declared
-from fusion_sfdia.learning.frozen_model.commissioned_model import stretches
+from fusion_sfdia.learning.frozen_model.commissioned_model import Each, in_silence, stretches
 from fusion_sfdia.learning.frozen_model.frozen_bank import (
     FADES,
     FALSE_ALARM,
@@ -122,7 +122,7 @@ class CommissionedBank(FrozenBank):
     def _readmitted(self, memory: BothMemory, t: float, which: Array) -> BothMemory:
         return memory._replace(bank=self._bank._readmitted(memory.bank, t, which))
 
-    def share_isolated(self, log: Log) -> float:
+    def share_isolated(self, log: Log, each: Each = in_silence) -> float:
         """The share of the rows of healthy runs y (K, B, N) in which the bank by itself isolates a sensor or names the process.
 
         It begins where the frozen model has forgotten its start, as uncertain as at any start, in stretches side by side.
@@ -131,7 +131,8 @@ class CommissionedBank(FrozenBank):
         settle, first = self.frozen.settle, dense(self.plant.initial_cov)
         tracked, bank, hits = frozen.start((parts.y.shape[1],)), None, 0
         before = float(parts.t[0]) - self.plant.dt
-        for k, (t, y, u) in enumerate(zip(parts.t.tolist(), parts.y, parts.u, strict=True)):
+        for k in each(range(len(parts.t)), "trying the adaptive bank"):
+            t, y, u = float(parts.t[k]), parts.y[k], parts.u[k]
             if k < settle:
                 tracked, _ = frozen.step(tracked, before, t - before, y, u)
             else:
@@ -204,7 +205,7 @@ class CommissionedBank(FrozenBank):
         )
 
 
-def with_bank(frozen: FrozenBank, healthy: Any) -> tuple[FrozenBank, float]:
+def with_bank(frozen: FrozenBank, healthy: Any, each: Each = in_silence) -> tuple[FrozenBank, float]:
     """The detector with the adaptive bank beside it, where the bank keeps its rate on healthy readings, else as it is; and the
     share of their rows in which the bank by itself isolates a sensor or names the process.
 
@@ -217,5 +218,5 @@ def with_bank(frozen: FrozenBank, healthy: Any) -> tuple[FrozenBank, float]:
         fitted_rate=frozen.fitted_rate,
         fitted_scale=frozen.threshold_scale,
     )
-    share = both.share_isolated(as_runs(frozen.plant, (healthy,)))
+    share = both.share_isolated(as_runs(frozen.plant, (healthy,)), each)
     return (both if share <= RATE else frozen), share

@@ -15,7 +15,7 @@ argued as it says, while a heated room with a wrong valve was looked at; the oth
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -92,6 +92,14 @@ class Frozen(NamedTuple):
         return np.asarray(1.0 + self.kappa[w] * np.sum((phi @ self.whiten) ** 2, axis=-1))
 
 
+Each = Callable[[Sequence[int], str], Iterable[int]]  # steps, and what they are, to the same steps
+
+
+def in_silence(steps: Sequence[int], what: str) -> Iterable[int]:
+    """The steps as they are: no progress is shown."""
+    return steps
+
+
 def beyond(phi: Array, low: Array, high: Array) -> Array:
     """The square of 1 + BEYOND times what phi (..., q) is off a range in all, over its width."""
     off = np.maximum(np.maximum(low - phi, phi - high), 0.0) / (high - low)
@@ -144,8 +152,11 @@ def spread_of(cov: Array) -> Spread:
     return Spread(half_inverse(cov, np.ones((len(cov),), bool)), cov)
 
 
-def commissioned(plant: Plant, log: Log) -> Learnt:
-    """Learn from healthy rows t (K,), y (K, B, N), u (K, B, m) of runs; ValueError where they are too few."""
+def commissioned(plant: Plant, log: Log, each: Each = in_silence) -> Learnt:
+    """Learn from healthy rows t (K,), y (K, B, N), u (K, B, m) of runs; ValueError where they are too few.
+
+    each: wraps the steps of each pass, with what it is, to show progress.
+    """
     _, values, sd = declared(plant)
     begun = FrozenFilter(plant, values, of_sensors=False)
     steps, runs = log.y.shape[:2]
@@ -157,12 +168,15 @@ def commissioned(plant: Plant, log: Log) -> Learnt:
         )
     parts = stretches(plant, log, settle)
     start, prior = None, values
-    for _ in range(ROUNDS if values.size else 0):
-        found = _filtered(FrozenFilter(plant, values, of_sensors=False), parts, settle, start)
+    passes = 1 + (ROUNDS if values.size else 0)
+    for k in range(1, passes):
+        rows = each(range(len(parts.t)), f"learning, pass {k} of {passes}")
+        found = _filtered(FrozenFilter(plant, values, of_sensors=False), parts, settle, start, rows)
         change = _newton(found, (values - prior) / sd, sd)
         values = prior + sd * np.clip((values - prior) / sd + np.clip(change, -STEP, STEP), -FARTHEST, FARTHEST)
         start = _starts(found, parts, settle)
-    found = _filtered(FrozenFilter(plant, values, of_sensors=False), parts, settle, start)
+    rows = each(range(len(parts.t)), f"learning, pass {passes} of {passes}")
+    found = _filtered(FrozenFilter(plant, values, of_sensors=False), parts, settle, start, rows)
     variance = np.median(found.variance[settle:], axis=(0, 1))
     sure = np.where(unsure(found.variance, variance), np.nan, found.innovation)
     blocks = _blocks(found._replace(innovation=sure), parts, settle)
@@ -176,11 +190,11 @@ def unsure(now: Array, usual: Array) -> Array:
     return np.asarray(now > UNSURE * usual)
 
 
-def commissioned_without_faults(plant: Plant, log: Log) -> tuple[Learnt, tuple[Unlike, ...], Log]:
+def commissioned_without_faults(plant: Plant, log: Log, each: Each = in_silence) -> tuple[Learnt, tuple[Unlike, ...], Log]:
     """The same, again without the blocks that are `LEFT_OUT` times beyond the limits of all others, which follow, and the log
     without them.
     """
-    found = commissioned(plant, log)
+    found = commissioned(plant, log, each)
     out = tuple(part for part in found.unlike if part.times > LEFT_OUT)
     if not out:
         return found, (), log
@@ -188,7 +202,7 @@ def commissioned_without_faults(plant: Plant, log: Log) -> tuple[Learnt, tuple[U
     for part in out:
         y[part.first : part.last + 1, part.run] = np.nan
     log = log._replace(y=y)
-    return commissioned(plant, log), out, log
+    return commissioned(plant, log, lambda rows, what: each(rows, f"{what}, without what is unlike the rest")), out, log
 
 
 def stretches(plant: Plant, log: Log, settle: int) -> Stretches:
@@ -213,7 +227,7 @@ def _depends_on_time(plant: Plant, log: Log) -> bool:
     return any(not np.array_equal(a, each[0]) for each in (steps, outputs) for a in each)
 
 
-def _filtered(filter_: FrozenFilter, parts: Stretches, settle: int, start: Array | None) -> Pass:
+def _filtered(filter_: FrozenFilter, parts: Stretches, settle: int, start: Array | None, rows: Iterable[int]) -> Pass:
     long, count = parts.y.shape[:2]
     n, (sensors, _, p) = len(filter_.plant.states), filter_.counts
     now = filter_.start((count,))
@@ -227,7 +241,8 @@ def _filtered(filter_: FrozenFilter, parts: Stretches, settle: int, start: Array
     seen = np.zeros((2, windows, count, sensors))
     by_unknown = np.zeros((windows, count, sensors, p))
     before = float(parts.t[0]) - filter_.plant.dt
-    for k, t in enumerate(parts.t.tolist()):
+    for k in rows:
+        t = float(parts.t[k])
         after[k] = now.core.x[:, :n]
         now, row = filter_.step(now, before, t - before, parts.y[k], parts.u[k])
         if row.lost.any():

@@ -16,7 +16,7 @@ from fusion_sfdia.common.rate import Rate
 from fusion_sfdia.learning.commissioning.parameters import declared
 from fusion_sfdia.learning.commissioning.refusals import still
 from fusion_sfdia.learning.frozen_model.commissioned_bank import with_bank
-from fusion_sfdia.learning.frozen_model.commissioned_model import Learnt, commissioned_without_faults
+from fusion_sfdia.learning.frozen_model.commissioned_model import Each, Learnt, commissioned_without_faults, in_silence
 from fusion_sfdia.learning.frozen_model.frozen_bank import FrozenBank
 from fusion_sfdia.learning.frozen_model.frozen_filter import unknowns
 from fusion_sfdia.learning.frozen_model.window_means import WINDOWS
@@ -37,14 +37,16 @@ class FrozenTuning(NamedTuple):
     quality: dict[str, Any]
 
 
-def tuned_frozen(plant: Plant, log: Log, at: Callable[[int, int], str], rate: Rate, strict: bool) -> FrozenTuning:
-    """Commission the frozen model on runs y (K, B, N); at: the time of a row of a run in words.
+def tuned_frozen(
+    plant: Plant, log: Log, at: Callable[[int, int], str], rate: Rate, strict: bool, each: Each = in_silence
+) -> FrozenTuning:
+    """Commission the frozen model on runs y (K, B, N); at: the time of a row of a run in words. each: as of `commissioned`.
 
     ValueError where rows are too few for the plant; with strict also where any have to be left out.
     """
     dt = float(np.median(np.diff(log.t)))
     log, left_out = _moving(plant, log, at)
-    learnt, unlike, log = commissioned_without_faults(plant, log)
+    learnt, unlike, log = commissioned_without_faults(plant, log, each)
     left_out += [
         f"all readings from {at(a, b)} to {at(z, b)}: {np.sqrt(times):.2g} times as far off as in the rest of the log"
         for b, a, z, times in unlike
@@ -55,7 +57,7 @@ def tuned_frozen(plant: Plant, log: Log, at: Callable[[int, int], str], rate: Ra
     limit = threshold(scores, rate.per_sample(dt))
     scale = max(limit.scale, 1.0)  # above the largest that blocks have shown which were not learnt
     alone = FrozenBank(plant, frozen=learnt.frozen, threshold_scale=scale, fitted_rate=rate.per_sample(dt))
-    detector, share = with_bank(alone, log)
+    detector, share = with_bank(alone, log, each)
     count = counted(scores, scale)
     remarks = [f"left out: {reason}" for reason in left_out]
     remarks += [

@@ -23,6 +23,7 @@ from fusion_sfdia.detectors.silent import require_scale, silent, silent_scores
 from fusion_sfdia.learning.commissioning.commission import Commissioning, as_runs, commissioned
 from fusion_sfdia.learning.commissioning.parameters import moved
 from fusion_sfdia.learning.commissioning.refusals import require_moving
+from fusion_sfdia.learning.frozen_model.commissioned_model import Each, in_silence
 from fusion_sfdia.learning.tuning.delays import Delays, delays
 from fusion_sfdia.learning.tuning.doubts import remarks
 from fusion_sfdia.learning.tuning.drift import require_no_drift
@@ -62,6 +63,7 @@ def tune(
     strict: bool = False,
     sources: Sequence[HealthySource] = (),
     made: str = "",
+    each: Each = in_silence,
 ) -> Tuned:
     """Tune a plant and a detector on healthy readings of the real plant.
 
@@ -69,24 +71,25 @@ def tune(
     "1/day" or 1e-3 (per sample), see `Rate`. detector: a registered name, or a reference such as "mine.py:MyDetector". One that
     commissions the plant by itself, "frozen-model", leaves readings that are not healthy out, and lists them (`quality`),
     unless strict: then they raise ValueError, as for all others.
-    sources: where each log comes from, made: the date, both for the file alone.
+    sources: where each log comes from, made: the date, both for the file alone. each: wraps the steps of each pass over the
+    readings, with what it is, to show progress; of "frozen-model" alone.
     ValueError, with the reason, for readings that cannot carry it: too short for the plant or the rate, a fault among them, not
     stationary; NotApplicableError where the detector does not apply to the plant.
     """
     plant, rate, entry = registry.plant(plant), Rate.of(false_alarm), registry.find_detector(detector)
     logs = [_runs(as_runs(plant, (one,))) for one in healthy]
     origin = list(sources) or [HealthySource(f"readings {i + 1}") for i in range(len(logs))]
-    each, moments = [run for runs in logs for run in runs], _moments(logs, origin)
+    apart, moments = [run for runs in logs for run in runs], _moments(logs, origin)
     if entry.commissions:
-        log, times, of = as_even_runs(plant, each)
-        frozen = tuned_frozen(plant, log, partial(_at, times, of, moments), rate, strict)
+        log, times, of = as_even_runs(plant, apart)
+        frozen = tuned_frozen(plant, log, partial(_at, times, of, moments), rate, strict, each)
         per_sample = frozen.detector.fitted_rate
         used = {"name": entry.name, "threshold_scale": frozen.detector.threshold_scale, "false_alarm": str(rate)}
         document = {"plant": plant_table(plant), "detector": used | {"per_sample": per_sample}, **frozen.tables}
         return Tuned(document | _provenance(origin, logs, made) | {"quality": frozen.quality}, frozen.detector, entry)
-    for run, moment in zip(each, moments, strict=True):
+    for run, moment in zip(apart, moments, strict=True):
         require_moving(plant, as_runs(plant, (run,)), partial(_at, run.t[:, None], (0,), [moment]))
-    log, times, of = as_even_runs(plant, each)
+    log, times, of = as_even_runs(plant, apart)
     at = partial(_at, times, of, moments)
     dt = float(np.median(np.diff(log.t)))
     per_sample = rate.per_sample(dt)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
@@ -60,6 +61,18 @@ def test_what_is_not_healthy_is_left_out_and_listed_on_the_wall_clock() -> None:
     with pytest.raises(ValueError, match=r"readings that are not healthy: .*the same reading 200 times; all readings from"):
         tune(PLANT, log._replace(y=y), detector=NAME, sources=[HealthySource("day.csv", clock)], strict=True)
     assert not any(r.startswith("left out") for r in tuned().quality["remarks"])
+
+
+def test_its_passes_are_shown_step_by_step() -> None:
+    log, passes = healthy(steps=400), list[str]()
+
+    def each(steps: Sequence[int], what: str) -> Iterable[int]:
+        passes.append(what)
+        return iter(steps)
+
+    shown, silent = (tune(PLANT, log, detector=NAME, **given) for given in ({"each": each}, {}))
+    assert shown.document == silent.document
+    assert passes == [*(f"learning, pass {k} of 4" for k in range(1, 5)), "trying the adaptive bank"]
 
 
 def test_a_log_too_short_for_slow_drifts_says_so() -> None:
