@@ -25,6 +25,7 @@ from fusion_sfdia.cli.options import (
 from fusion_sfdia.common.numerals import decimal, integer
 
 if TYPE_CHECKING:
+    from fusion_sfdia.live.left_out_lines import Remarks
     from fusion_sfdia.live.saving import SavedWatch
     from fusion_sfdia.live.status import Status
     from fusion_sfdia.live.webhook import Webhook
@@ -111,19 +112,20 @@ def add_watch(commands: Any) -> None:
 def _watch(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.cli.signals import ended_in_time
     from fusion_sfdia.common.files import locked_file
+    from fusion_sfdia.live.left_out_lines import Remarks
 
+    refused = Remarks(_say)
     if chosen.state is not None and not chosen.state.absolute().parent.is_dir():
         raise ValueError(f"--state {chosen.state}: there is no folder {chosen.state.parent}; make it, or name another file")
     with (
-        _webhook(chosen) as webhook,  # the outermost: at its end it takes some seconds for what is not yet posted
+        _webhook(chosen, refused) as webhook,  # the outermost: at its end it takes some seconds for what is not yet posted
         ended_in_time(chosen.interruption),
         nullcontext() if chosen.state is None else locked_file(chosen.state),
     ):
-        return _watched(chosen, webhook)
+        return _watched(chosen, webhook, refused)
 
 
-def _webhook(chosen: argparse.Namespace) -> AbstractContextManager[Webhook | None]:
-    from fusion_sfdia.live.left_out_lines import Remarks
+def _webhook(chosen: argparse.Namespace, refused: Remarks) -> AbstractContextManager[Webhook | None]:
     from fusion_sfdia.live.webhook import Webhook
 
     token = None
@@ -136,13 +138,12 @@ def _webhook(chosen: argparse.Namespace) -> AbstractContextManager[Webhook | Non
             )
     if chosen.webhook is None:
         return nullcontext()
-    return Webhook(chosen.webhook, Remarks(_say), token=token, allow_plain=chosen.allow_plain_password)
+    return Webhook(chosen.webhook, refused, token=token, allow_plain=chosen.allow_plain_password)
 
 
-def _watched(chosen: argparse.Namespace, webhook: Webhook | None) -> int:
+def _watched(chosen: argparse.Namespace, webhook: Webhook | None, refused: Remarks) -> int:
     from fusion_sfdia.cli.tune import bound_detector
     from fusion_sfdia.diagnosis.watch import Watch
-    from fusion_sfdia.live.left_out_lines import Remarks
     from fusion_sfdia.live.saving import SavedWatch
     from fusion_sfdia.live.security import SCHEMES, address, remarked_logs
     from fusion_sfdia.live.status import Status, beating, endpoint, metrics_at, served
@@ -162,7 +163,7 @@ def _watched(chosen: argparse.Namespace, webhook: Webhook | None) -> int:
     for option, kind in (("opcua", "opcua"), ("mqtt", "mqtt"), ("alarms", "opcua")):  # before anything that takes time
         if (url := getattr(chosen, option)) is not None:
             address(f"--{option}", url, SCHEMES[kind])
-    refused, log_map = Remarks(_say), load_map(chosen.map) if chosen.map else PLAIN_MAP
+    log_map = load_map(chosen.map) if chosen.map else PLAIN_MAP
     settings = {"reorder": chosen.reorder, "keep_last": log_map.duplicates == "last", "refused": refused}
     if chosen.longest_gap is not None:
         settings["longest_gap"] = chosen.longest_gap

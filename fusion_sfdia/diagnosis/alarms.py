@@ -37,7 +37,7 @@ class Alarms:
     count: int = 0
     raised: dict[str, Raised] = field(default_factory=dict)
 
-    def told(self, change: Change) -> Change:
+    def with_alarm(self, change: Change) -> Change:
         """The change with its alarm; itself where it belongs to none."""
         if change.what == "reset":
             for name, alarm in self.raised.items():

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from enum import IntEnum
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.detectors.detector import Decision
+from fusion_sfdia.detectors.detector import Decision, ProcessHypothesis
 from fusion_sfdia.detectors.verdicts import ALL_FAR, TOO_MANY, Conclusion, Verdict
 from fusion_sfdia.diagnosis.events import EVEN, Event
 from fusion_sfdia.diagnosis.slow_sensors import UNDECIDED
@@ -58,17 +58,23 @@ def health_of(event: Event) -> DeviceHealth | None:
 
 
 def sensor_health(
-    plant: Plant, decision: Decision, conclusion: Conclusion, recent: Iterable[Decision], standing: Mapping[str, DeviceHealth]
+    plant: Plant,
+    decision: Decision,
+    conclusion: Conclusion,
+    recent: Iterable[Decision],
+    standing: Mapping[str, DeviceHealth],
+    tested: Sequence[ProcessHypothesis] = (),
 ) -> tuple[DeviceHealth, ...]:
     """The state of each sensor after a sample.
 
     recent: Decisions of the samples until this one, the last first. standing: states by sensor on which an event stands, see
-    `health_of`. Any other sensor is NORMAL where it is judged, and CHECK_FUNCTION where it is not: nothing was judged at all
-    or for `UNHEARD` samples of it, its threshold is infinite, all are far from the model or more disagree with it than can be
-    isolated, operation is outside of what was learnt, or an alarm that nothing explains is its own or may be.
+    `health_of`. tested: the detector's hypotheses about the process. Any other sensor is NORMAL where it is judged, and
+    CHECK_FUNCTION where it is not: nothing was judged at all or for `UNHEARD` samples of it, its threshold is infinite, all are
+    far from the model or more disagree with it than can be isolated, operation is outside of what was learnt, whether or not a
+    sensor is isolated as well, or an alarm that nothing explains is its own or may be.
     """
     verdict, reason = conclusion
-    if verdict in (Verdict.BLIND, Verdict.OUTSIDE) or reason in (ALL_FAR, TOO_MANY):
+    if verdict is Verdict.BLIND or reason in (ALL_FAR, TOO_MANY) or _is_outside(decision, verdict, tested):
         found = [DeviceHealth.CHECK_FUNCTION] * len(plant.sensors)
     else:
         doubtful = ~_judged(decision)
@@ -85,6 +91,13 @@ def sensor_health(
     for name, state in standing.items():
         found[plant.sensor_index(name)] = state
     return tuple(found)
+
+
+def _is_outside(decision: Decision, verdict: Verdict, tested: Sequence[ProcessHypothesis]) -> bool:
+    """Whether operation is as in no healthy log, or an input beyond its limits, which a verdict on a sensor does not say."""
+    accepted = () if decision.process is None else zip(tested, decision.process, strict=True)
+    named = any(holds and h.kind == "outside" for h, holds in accepted)
+    return verdict is Verdict.OUTSIDE or named or bool(np.any(decision.absurd_input))
 
 
 def _judged(decision: Decision) -> Array:

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import huber
 from threadpoolctl import threadpool_limits
 
 from fusion_sfdia.detectors.detector import Detector
@@ -33,6 +34,7 @@ EVIDENCE = 8.0  # by which the logarithm of the likelihood is larger with the la
 FOLLOWS, MOST_SD = 3.0, 10.0  # standard errors of a correlation; residuals in standard deviations that it takes as they are
 MOST = 3  # late sensors
 EXPLAINED = 1.5  # standard deviations: scatter with the lag
+HUBER, MOST_CORRELATED = 2.0, 0.95  # standard deviations up to which a residual counts by its square; correlation of residuals
 SCATTER = 1.4826  # standard deviation of a normal variable over its median absolute deviation
 
 
@@ -151,23 +153,41 @@ def _lag(model: Plant, log: Log, i: int) -> tuple[int, float]:
         return 0, 0.0
     at = np.arange(y.size)
     predicted = np.interp(at, at[known], predicted[known])  # between the readings of a slow sensor
-    scatter = np.stack([_scatter(y[k:] - predicted[: y.size - k], sd[k:], k) for k in range(LONGEST + 1)])
-    count = np.array([np.isfinite(s).sum() for s in np.array_split(y, PARTS)])
-    gain = count * np.log(scatter[0] / scatter)
+    z = [_about_medians(y[k:] - predicted[: y.size - k], sd[k:], k) for k in range(LONGEST + 1)]
+    gain, scatter = np.array([_gain(z[0], late) for late in z]).swapaxes(0, 1)
     k = int(np.argmax(np.sum(gain, axis=1)))
     agree = (scatter[k] < EXPLAINED) & (gain[k] > -1.0)
     evidence = float(np.sum(gain[k]))
     return (k, evidence) if k and np.sum(agree) >= PARTS - 1 and evidence > EVIDENCE else (0, 0.0)
 
 
-def _scatter(r: Array, sd: Array, k: int) -> Array:
-    """The scatter (PARTS,) of residuals in standard deviations about the median of each part, at least a tenth; k rows of the
-    log are before them.
+def _about_medians(r: Array, sd: Array, k: int) -> list[Array]:
+    """Residuals in standard deviations about the median of each part of the log, k rows of which are before them."""
+    parts = np.array_split(np.concatenate([np.full(k, np.nan), r / sd]), PARTS)
+    return [
+        part - np.median(part[np.isfinite(part)]) if np.isfinite(part).sum() >= FEWEST else np.full_like(part, np.nan)
+        for part in parts
+    ]
+
+
+def _gain(now: list[Array], late: list[Array]) -> tuple[Array, Array]:
+    """By how much the log-likelihood of each part (PARTS,) is larger with the lag than without, and the scatter with it.
+
+    The noise is as large as it is seen to be with the lag, sigma = `SCATTER` median |z|, at least a tenth of what is stated,
+    and the same rows are compared, so that noise alone, which is in both, gains nothing:
+    sum_t rho(z_t / sigma) - rho(z'_t / sigma), with z and z' without and with the lag and Huber's rho, which is z^2 / 2 up to
+    `HUBER` and linear above. Errors of the prediction last for some rows, so that n residuals with the correlation phi from row
+    to row say as much as n (1 - phi) / (1 + phi).
     """
-    z = np.concatenate([np.full(k, np.nan), r / sd])
-    found = np.ones(PARTS)
-    for j, part in enumerate(np.array_split(z, PARTS)):
-        finite = part[np.isfinite(part)]
-        if finite.size >= FEWEST:
-            found[j] = max(SCATTER * float(np.median(np.abs(finite - np.median(finite)))), 0.1)
-    return found
+    gain, scatter = np.zeros(PARTS), np.ones(PARTS)
+    for j, (a, b) in enumerate(zip(now, late, strict=True)):
+        known = np.isfinite(a) & np.isfinite(b)
+        if known.sum() < FEWEST:
+            continue
+        a, b = a[known], b[known]
+        scatter[j] = max(SCATTER * float(np.median(np.abs(b))), 0.1)
+        a, b = a / scatter[j], b / scatter[j]
+        calm = np.clip(b, -HUBER, HUBER)
+        phi = float(np.clip(calm[1:] @ calm[:-1] / max(calm @ calm, 1e-300), 0.0, MOST_CORRELATED))
+        gain[j] = np.sum(huber(HUBER, a) - huber(HUBER, b)) * (1 - phi) / (1 + phi)
+    return gain, scatter

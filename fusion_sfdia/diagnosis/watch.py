@@ -205,7 +205,7 @@ class Watch:
     def last(self) -> list[Change]:
         """What the second look would report if no row came any more; the watch stays as it is."""
         alarms = Alarms.of(str(self.alarms))
-        return [] if self.t is None else [alarms.told(change) for change in self.findings.last(self.t, self.clock)]
+        return [] if self.t is None else [alarms.with_alarm(change) for change in self.findings.last(self.t, self.clock)]
 
     def _in_turn(self, rows: list[tuple[WatchRow, float]]) -> tuple[Sample, ...]:
         return tuple(sample for row, ahead in rows for sample in self._diagnosed(row, ahead))
@@ -268,10 +268,11 @@ class Watch:
         if np.all(np.isfinite(decision.estimate)) and decision.estimate.shape == self.x.shape:
             self.x = decision.estimate
         self.u, self.given, self.known_at = u, given, known_at
-        told = tuple(map(self.alarms.told, changes))
+        with_alarms = tuple(map(self.alarms.with_alarm, changes))
         recent = (d for _, d in reversed(self.findings.changes.recent))
-        health = sensor_health(self.detector.plant, decision, self.concluded, recent, self.alarms.standing)
-        return (Sample(row.t, row.y, u, decision, told, self.concluded, health),)
+        standing, tested = self.alarms.standing, () if failing else self.detector.process_hypotheses
+        health = sensor_health(self.detector.plant, decision, self.concluded, recent, standing, tested)
+        return (Sample(row.t, row.y, u, decision, with_alarms, self.concluded, health),)
 
     def _stepped(self, row: WatchRow, u: Array, begins: float) -> tuple[State, Decision, list[tuple[float, Array]]]:
         """The state and the Decision after a row, and times and inputs of the steps before it; any error of the model.

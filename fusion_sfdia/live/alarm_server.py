@@ -45,6 +45,7 @@ SEVERITY = {
     DeviceHealth.MAINTENANCE_REQUIRED: 200,
 }
 KEPT = 100  # ids of events of each alarm, which a client may acknowledge
+MOST_PENDING = 1000  # changes and reports that wait to be sent
 UNSHELVED, TIMED, ONE_SHOT = "Unshelved", "TimedShelved", "OneShotShelved"
 
 
@@ -79,6 +80,7 @@ class AlarmServer:
         self.conditions: dict[str, Condition] = {}  # by cause
         self.health: dict[str, Any] = {}  # nodes by sensor
         self.folders: dict[str, Any] = {}  # of the alarms of a sensor, "" of the others
+        self.tasks: set[asyncio.Task[Any]] = set()
         self.lock = asyncio.Lock()  # one change after another
 
     async def start(self, raised: dict[str, Raised]) -> None:
@@ -294,9 +296,14 @@ class AlarmServer:
             self._shelve(condition, how)
             if how == TIMED:
                 loop = asyncio.get_running_loop()
-                condition.timer = loop.call_later(seconds, lambda: loop.create_task(self.unshelve(condition.node)))
+                condition.timer = loop.call_later(seconds, self._unshelve_later, condition)
             await self._send(condition)
             return []
+
+    def _unshelve_later(self, condition: Condition) -> None:
+        task = asyncio.get_running_loop().create_task(self.unshelve(condition.node))
+        self.tasks.add(task)  # of which the loop alone keeps no reference
+        task.add_done_callback(self.tasks.discard)
 
     def _shelve(self, condition: Condition, how: str) -> None:
         if condition.timer is not None:
@@ -317,17 +324,25 @@ def alarms_served(url: str, saved: SavedWatch) -> Iterator[AlarmServer]:
     thread = threading.Thread(target=loop.run_forever, daemon=True)
     thread.start()
 
+    pending: set[Future[None]] = set()
+
     def done(future: Future[None]) -> None:
+        pending.discard(future)
         if not future.cancelled() and (error := future.exception()) is not None:
             say(f"{url}: an alarm was not sent ({type(error).__name__})")
 
-    def later(work: Coroutine[Any, Any, None]) -> None:
-        asyncio.run_coroutine_threadsafe(work, loop).add_done_callback(done)
+    def send(work: Coroutine[Any, Any, None]) -> None:
+        if len(pending) >= MOST_PENDING:
+            work.close()
+            say(f"{url}: an alarm was not sent, since {MOST_PENDING} before it are not sent yet")
+            return
+        pending.add(future := asyncio.run_coroutine_threadsafe(work, loop))
+        future.add_done_callback(done)
 
     try:
         asyncio.run_coroutine_threadsafe(found.start(watch.alarms.raised), loop).result()
-        saved.outlets.append(lambda change, line: later(found.changed(change)))
-        saved.status.listeners.append(lambda report: later(found.reported(report)))
+        saved.outlets.append(lambda change, line: send(found.changed(change)))
+        saved.status.listeners.append(lambda report: send(found.reported(report)))
         try:
             yield found
         finally:

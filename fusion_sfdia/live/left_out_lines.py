@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import threading
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -21,6 +22,7 @@ class Remarks:
 
     say: Callable[[str], None]
     kinds: Counter[str] = field(default_factory=Counter)
+    lock: threading.Lock = field(default_factory=threading.Lock, repr=False)  # of the counts: any thread may remark
 
     @property
     def count(self) -> int:
@@ -29,10 +31,12 @@ class Remarks:
 
     def __call__(self, remark: str) -> None:
         kind = VALUES.sub("#", remark)[:200]
-        if kind not in self.kinds and len(self.kinds) >= MOST_KINDS:
-            kind = ""
-        self.kinds[kind] += 1
-        if (count := self.kinds[kind]) <= FIRST:
+        with self.lock:
+            if kind not in self.kinds and len(self.kinds) >= MOST_KINDS:
+                kind = ""
+            self.kinds[kind] += 1
+            count = self.kinds[kind]
+        if count <= FIRST:
             self.say(remark)
         elif str(count).strip("0") == "1":
             self.say(f"{remark} (the {count}th such line; others are not shown)")

@@ -53,6 +53,18 @@ Array = NDArray[Any]
 
 PAPER_AREAS = 15
 UNIT = {"theta": "rad", "omega": "rad/s", "p_m": "1", "p_v": "1"}
+MEANING = {
+    "theta": "rotor angle of area {}",
+    "omega": "deviation of the speed of area {}",
+    "p_m": "mechanical power of area {}",
+    "p_v": "valve position of area {}",
+    "reference": "power reference of area {}",
+    "load": "load of area {}",
+}
+CHECK = {
+    "reference": "Check that the units of the area follow their set points.",
+    "load": "Check the metering of the area's load.",
+}
 QUANTITY = {"theta": "angle", "omega": "speed", "p_m": "mechanical power", "p_v": "valve"}
 
 
@@ -84,7 +96,7 @@ def power_network(
     model.require_dense()
     names, n = model.names, len(model.names)
     profile = load_profile(model, [s for s in load_steps("1") if s.area in names] if loads is None else loads)
-    states = tuple(Signal(f"{s}_{i}", UNIT[s]) for i in names for s in STATES)
+    states = network_states(names)
     sensors = network_sensors(model)
     place = {s.name: k for k, s in enumerate(states)}
     picks = np.array([place[s.measures] for s in sensors])
@@ -98,7 +110,7 @@ def power_network(
     plant = Plant(
         name="power-network",
         states=states,
-        inputs=(*(Signal(f"reference_{i}") for i in names), *(Signal(f"load_{i}") for i in names)),
+        inputs=network_inputs(names),
         sensors=sensors,
         step=running.step,
         output=partial(picked, picks),
@@ -150,22 +162,49 @@ class _Running:
         return np.concatenate([reference, np.broadcast_to(load, reference.shape)], axis=-1)
 
 
+def network_states(names: Sequence[str]) -> tuple[Signal, ...]:
+    """Four states of each area."""
+    return tuple(Signal(f"{s}_{i}", UNIT[s], meaning=MEANING[s].format(i)) for i in names for s in STATES)
+
+
+def network_inputs(names: Sequence[str]) -> tuple[Signal, ...]:
+    """The references, then the loads of the areas."""
+    return tuple(Signal(f"{s}_{i}", meaning=MEANING[s].format(i), check=CHECK[s]) for s in CHECK for i in names)
+
+
 def network_sensors(model: NetworkModel) -> tuple[Sensor, ...]:
     """Four sensors of each area, then theta_j@i at each side of a tie: the angle of neighbour j, read by area i."""
     names, at = model.names, model.network.topology
     sigma = dict(zip(STATES, np.sqrt(NOISE_VARIANCE), strict=True))
     shared = [
-        (f"theta_{names[j]}", f"theta_{names[j]}@{names[i]}", names[i]) for i, j in zip(at.node, at.neighbour, strict=True)
+        (f"theta_{names[j]}", f"theta_{names[j]}@{names[i]}", names[i], names[j])
+        for i, j in zip(at.node, at.neighbour, strict=True)
     ]
     return (
         *(
-            Sensor(f"{s}_{i}", f"{s}_{i}", UNIT[s], sigma=float(sigma[s]), owner=f"area {i}", quantity=QUANTITY[s])
+            Sensor(
+                f"{s}_{i}",
+                f"{s}_{i}",
+                UNIT[s],
+                sigma=float(sigma[s]),
+                owner=f"area {i}",
+                quantity=QUANTITY[s],
+                meaning=MEANING[s].format(i),
+            )
             for i in names
             for s in STATES
         ),
         *(
-            Sensor(name, variable, UNIT["theta"], sigma=float(sigma["theta"]), owner=f"area {i}", quantity=QUANTITY["theta"])
-            for variable, name, i in shared
+            Sensor(
+                name,
+                variable,
+                UNIT["theta"],
+                sigma=float(sigma["theta"]),
+                owner=f"area {i}",
+                quantity=QUANTITY["theta"],
+                meaning=f"{MEANING['theta'].format(j)}, read by area {i},",
+            )
+            for variable, name, i, j in shared
         ),
     )
 
@@ -174,8 +213,8 @@ def network_physics(model: NetworkModel) -> Physics:
     """The network as physics before discretisation: the same scalar equations over all areas."""
     return Physics(
         name="power-network",
-        states=tuple(Signal(f"{s}_{i}", UNIT[s]) for i in model.names for s in STATES),
-        inputs=(*(Signal(f"reference_{i}") for i in model.names), *(Signal(f"load_{i}") for i in model.names)),
+        states=network_states(model.names),
+        inputs=network_inputs(model.names),
         f=partial(_rates, model),
     )
 

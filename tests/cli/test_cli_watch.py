@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnosis_schema import require_event
+from diagnosis_schema import require_event, require_line
 from toy_plants import readings, tanks
 
 from fusion_sfdia.cli.main import main
@@ -58,6 +58,8 @@ def test_rows_in_and_a_json_line_an_event_and_a_sample_out(
     found = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [e for e in found if e["event"] != "sample"] == events
     samples = [e for e in found if e["event"] == "sample"]
+    for line in samples:
+        require_line("sample", line)
     assert [s["t"] for s in samples] == [5.0 * k for k in range(1, 201)]
     bad = samples[70]
     assert "l1" in bad["isolated"] and bad["alarm"]

@@ -26,7 +26,7 @@ def sensor(number: int, what: str, t: float, name: str = "l1", **more: Any) -> C
 
 def told(changes: list[Change]) -> list[Alarm | None]:
     alarms = Alarms()
-    return [alarms.told(c).alarm for c in changes]
+    return [alarms.with_alarm(c).alarm for c in changes]
 
 
 def test_a_cause_that_flaps_for_two_hours_is_one_alarm() -> None:
@@ -67,11 +67,11 @@ def test_one_cause_is_a_sensor_a_hypothesis_what_is_undecided_or_blindness() -> 
 def test_a_reset_ends_what_stands_but_not_blindness() -> None:
     alarms = Alarms()
     for change in (sensor(1, "opened", 0.0), Change(2, "blind", 1.0, reason="x"), Change(3, "reset", 2.0, reason="x")):
-        alarms.told(change)
+        alarms.with_alarm(change)
     assert alarms.standing == {} and alarms.raised["blind"].open == (2,)
-    assert alarms.told(sensor(4, "opened", 3.0)).alarm == Alarm(1, new=False, active=True)
+    assert alarms.with_alarm(sensor(4, "opened", 3.0)).alarm == Alarm(1, new=False, active=True)
     assert alarms.standing == {"l1": DeviceHealth.OFF_SPEC}
-    assert alarms.told(Change(2, "sees again", 4.0, reason="x")).alarm == Alarm(2, new=False, active=False)
+    assert alarms.with_alarm(Change(2, "sees again", 4.0, reason="x")).alarm == Alarm(2, new=False, active=False)
 
 
 def test_any_flood_has_new_alarms_of_a_cause_at_least_ten_minutes_apart() -> None:
@@ -81,7 +81,7 @@ def test_any_flood_has_new_alarms_of_a_cause_at_least_ten_minutes_apart() -> Non
         t += float(rng.exponential(120.0))
         name = f"s{rng.integers(3)}"
         known = standing.pop(name, None)
-        change = alarms.told(sensor(number, "opened", t, name) if known is None else sensor(known, "closed", t, name))
+        change = alarms.with_alarm(sensor(number, "opened", t, name) if known is None else sensor(known, "closed", t, name))
         if known is None:
             standing[name] = number
         assert change.alarm

@@ -12,6 +12,7 @@ from diagnosis_schema import schema
 from toy_plants import readings, tanks
 
 from fusion_sfdia.common.clock import Clock
+from fusion_sfdia.detectors.detector import ProcessHypothesis
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.detectors.verdicts import ALL_FAR, NO_THRESHOLDS, TOO_MANY, Conclusion, Verdict
 from fusion_sfdia.diagnosis.device_health import UNHEARD, DeviceHealth, health_of, sensor_health
@@ -70,6 +71,12 @@ def test_a_sensor_without_an_event_is_good_where_it_is_judged_and_nothing_speaks
     assert states(judged, Verdict.HEALTHY) == (GOOD,) * 4
     assert states(judged, Verdict.PROCESS) == (GOOD,) * 4  # the process differs, no sensor
     assert states(judged, Verdict.SENSOR, l1=FAILURE) == (FAILURE, GOOD, GOOD, GOOD)
+    outside = ProcessHypothesis("operation", "", "outside", np.nan)
+    unlike = replace(judged, process=np.array([True]))
+    found = sensor_health(plant, unlike, Conclusion(Verdict.SENSOR), (), {"l1": FAILURE}, (outside,))
+    assert found == (FAILURE, CHECK, CHECK, CHECK)  # the verdict names l1 alone, but operation is as in no healthy log
+    leak = outside._replace(kind="parameter")
+    assert sensor_health(plant, unlike, Conclusion(Verdict.PROCESS), (), {}, (leak,)) == (GOOD,) * 4
     assert states(judged, Verdict.BLIND, l1=FAILURE) == (FAILURE, CHECK, CHECK, CHECK)
     for verdict, reason in (
         (Verdict.BLIND, ""),

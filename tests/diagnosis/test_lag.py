@@ -1,16 +1,20 @@
 """A sensor whose readings come late is named with its lag and not isolated, and its bias is still found."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fusion_sfdia import diagnose, simulate
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.diagnosis.diagnose import diagnose_run
-from fusion_sfdia.diagnosis.lag import Lag, earlier, latest
+from fusion_sfdia.diagnosis.lag import EVIDENCE, LONGEST, Lag, _about_medians, _gain, earlier, latest
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
+
+Array = NDArray[Any]
 
 HALF = 150
 
@@ -85,3 +89,21 @@ def test_healthy_readings_are_not_late(tanks: Plant) -> None:
     moved = earlier(late, 0, 5)
     np.testing.assert_array_equal(moved.y[:-5, 0], log.y[:-5, 0])
     assert np.isnan(moved.y[-5:, 0]).all()
+
+
+def evidence(p: Array, y: Array) -> Array:
+    """Of each lag the evidence that y follows the prediction p so many rows behind, both in standard deviations."""
+    z = [_about_medians(y[k:] - p[: y.size - k], np.ones(y.size - k), k) for k in range(LONGEST + 1)]
+    return np.array([np.sum(_gain(z[0], late)[0]) for late in z])
+
+
+def test_noise_larger_than_stated_is_no_lag() -> None:
+    rng, worst, late = np.random.default_rng(0), [], []
+    for _ in range(40):
+        p = np.cumsum(rng.normal(scale=0.1, size=2 * HALF))  # what is predicted wanders by some standard deviations
+        noise = 5 * rng.normal(size=p.size)
+        worst.append(np.max(evidence(p, p + noise)))
+        steps = p + 10 * (np.arange(p.size) // 20 % 2)
+        late.append(int(np.argmax(evidence(steps, np.roll(steps, 2) + noise / 5))))
+    assert max(worst) <= EVIDENCE  # with the likelihood itself by chance in 40 * 12 exp(-8) = 0.16 of such tests
+    assert late == [2] * 40

@@ -36,3 +36,9 @@ def require_event(line: dict[str, Any]) -> None:
         Draft202012Validator({"$ref": f"#/$defs/{part}", "$defs": schema()["$defs"]}).validate(line)
         names |= schema()["$defs"][part]["properties"].keys()
     assert line.keys() <= names
+
+
+def require_line(part: str, line: dict[str, Any]) -> None:
+    """That the schema holds for a "sample" or a "status" of `watch`, and describes every name of it."""
+    Draft202012Validator({"$ref": f"#/$defs/{part}", "$defs": schema()["$defs"]}).validate(line)
+    assert line.keys() <= schema()["$defs"][part]["properties"].keys()

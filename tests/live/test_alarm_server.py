@@ -73,7 +73,7 @@ class Served(NamedTuple):
         asyncio.run(asyncio.wait_for(connected(), PATIENCE))
 
     def change(self, *fields: Any) -> None:
-        self.saved._changed(self.saved.watch.alarms.told(of_sensor(*fields)))
+        self.saved._changed(self.saved.watch.alarms.with_alarm(of_sensor(*fields)))
 
 
 def saved_watch() -> SavedWatch:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnosis_schema import require_line
 from toy_plants import readings, tanks
 
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
@@ -54,6 +55,8 @@ def test_a_report_has_time_rows_missing_share_lag_and_verdict() -> None:
     wall = Wall()
     status, _ = watched(25, wall, remarks=lambda: 3)
     found = status.report()
+    require_line("status", json.loads(found.json))
+    require_line("status", json.loads(Status(Watch(LeaveOneOutBank(tanks()))).report().json))
     assert found.line == ("healthy; last row 2026-03-01 14:02:00+00:00, 25 rows, 10 % of readings missing, lag 2 s")
     assert json.loads(found.json) == {
         "status": "watching", "state": "healthy", "reason": "", "last_row": "2026-03-01 14:02:00+00:00",
