@@ -26,15 +26,26 @@ from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.uncertainty import equation_of, error_of
 
 LEAST = 0.05  # of a sensor's sigma: a smaller size is none
-ORDER = {"sensor": 0, "other": 0, "process": 1, "outside": 2, "undecided": 3}
 
-COUNTED = {
-    "sensor": ("faulty sensor", "faulty sensors"),
-    "other": ("other fault", "other faults"),
-    "process": ("process change", "process changes"),
-    "outside": ("kind of unknown operation", "kinds of unknown operation"),
-    "undecided": ("unresolved alarm", "unresolved alarms"),
-    "possible": ("possible fault", "possible faults"),
+
+class Kind(NamedTuple):
+    """A kind of events for people. rank: its place among findings, from 0; word: on a page and beside an axis; one, many: when
+    they are counted.
+    """
+
+    rank: int
+    word: str
+    one: str
+    many: str
+
+
+KINDS = {
+    "sensor": Kind(0, "sensor", "faulty sensor", "faulty sensors"),
+    "other": Kind(0, "other fault", "other fault", "other faults"),
+    "process": Kind(1, "process", "process change", "process changes"),
+    "outside": Kind(2, "not learnt", "kind of unknown operation", "kinds of unknown operation"),
+    "undecided": Kind(3, "undecided", "unresolved alarm", "unresolved alarms"),
+    "possible": Kind(4, "possible", "possible fault", "possible faults"),  # any with a confidence below `EVEN`
 }
 
 AGREES, PERSISTS = "it agrees with the model again", "the error persists"
@@ -116,6 +127,11 @@ def words_of(plant: Plant, tested: Iterable[ProcessHypothesis]) -> dict[str, Wor
     return found
 
 
+def kind_of(e: Event) -> Kind:
+    """The kind of an event for people."""
+    return KINDS["possible" if e.confidence < EVEN else e.kind]
+
+
 def sentence(e: Event, words: Words, clock: Clock, *, ended: bool = True) -> str:
     """An event in a sentence, and one on what to do: "Mixed-air temperature TT04 read 1.5 K (1.3 to 1.7) too high from
     2026-03-01 02:07 to 03:59; it agrees with the model again. Check the sensor's wiring or calibration."
@@ -152,17 +168,17 @@ def by_importance(events: Sequence[Event], passing: Sequence[Event] = ()) -> lis
 
     def key(e: Event) -> tuple[bool, int, bool, bool, float, float]:
         size = abs(e.sigmas) if math.isfinite(e.sigmas) else 0.0
-        return (id(e) in ended, 4 if e.confidence < EVEN else ORDER[e.kind], e.confidence < CERTAIN, not e.open, -size, e.start)
+        return (id(e) in ended, kind_of(e).rank, e.confidence < CERTAIN, not e.open, -size, e.start)
 
     return sorted(events, key=key)
 
 
 def counted(events: Sequence[Event]) -> str:
     """How many of each kind, each hypothesis once: "2 faulty sensors, 1 process change, 1 unresolved alarm"."""
-    names: dict[str, set[str]] = {}
+    names: dict[Kind, set[str]] = {}
     for e in by_importance(events):
-        names.setdefault("possible" if e.confidence < EVEN else e.kind, set()).add(e.hypothesis)
-    return ", ".join(f"{len(of)} {COUNTED[kind][len(of) > 1]}" for kind, of in names.items())
+        names.setdefault(kind_of(e), set()).add(e.hypothesis)
+    return ", ".join(f"{len(of)} {kind.many if len(of) > 1 else kind.one}" for kind, of in names.items())
 
 
 def size_of(e: Event, words: Words) -> str:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.diagnosis.diagnose import Diagnosis
 from fusion_sfdia.diagnosis.events import Event, ProcessEvent, UndecidedEvent, listed
+from fusion_sfdia.diagnosis.sentences import KINDS
 from fusion_sfdia.plant.gaps import Gap
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.figure_files import SVG_DPI
@@ -31,12 +32,12 @@ MOST_DOTS = 200  # of a line whose points are marked
 MOST_BESIDE = 3  # other verdicts beside that of a finding
 LONGEST = 32  # characters of a name beside an axis
 USUAL, LOUD = 3.0, 6.0  # standard deviations within which readings are as usual, and that the overview shows as the darkest
-KINDS = {  # of events: the word and the colour
-    "process": ("process or model", COLOURS[1]),
-    "outside": ("not learnt", COLOURS[2]),
-    "undecided": ("cannot tell", COLOURS[4]),
-    "sensor": ("sensor", COLOURS[0]),
-    "other": ("other fault", COLOURS[3]),
+COLOUR = {  # of events by their kind
+    "process": COLOURS[1],
+    "outside": COLOURS[2],
+    "undecided": COLOURS[4],
+    "sensor": COLOURS[0],
+    "other": COLOURS[3],
 }
 
 
@@ -92,11 +93,11 @@ def time_line(axes: Axes, found: Diagnosis, most: int = MOST_ROWS) -> None:
     step = _step(found.t)
     for row, one in enumerate(shown):
         own = [e for e in found.events if (e.kind, e.hypothesis) == one]
-        _bars(axes, found, own, (float(found.t[0]), float(found.t[-1])), row, KINDS[one[0]][1])
+        _bars(axes, found, own, (float(found.t[0]), float(found.t[-1])), row, COLOUR[one[0]])
     shade(axes, [(float(at(g.start)), float(at(g.end))) for g in found.gaps], color="0.85", zorder=0)
     labels = [named[one] for one in shown]
     for row, (kind, name) in enumerate(shown):
-        word = _kinds(found, name) if kind == "sensor" else KINDS[kind][0]
+        word = _kinds(found, name) if kind == "sensor" else KINDS[kind].word
         axes.text(1.01, row, word, transform=axes.get_yaxis_transform(), va="center", color="0.3", fontsize=8)
     if more := len(rows) - len(shown):
         labels.append(f"and {more} more")
@@ -202,7 +203,7 @@ def near(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event], poin
     sd = usual / USUAL
     each = [v[shown] for v in (expected - 2 * sd, expected + 2 * sd, expected, reading, error, usual)]
     times, (low, high, middle, read, difference, limit) = broken(t[window][shown], each, found.gaps)
-    x, step, (name, colour) = at(times), _step(t), KINDS[events[0].kind]
+    x, step, name, colour = at(times), _step(t), KINDS[events[0].kind].word, COLOUR[events[0].kind]
     if found.after is not None:
         upper.fill_between(x, low, high, color=COLOURS[2], alpha=0.25, lw=0, label="expected range (95 %)")
     dots = {"color": COLOURS[0], "markersize": 3, "linewidth": 0.8}
@@ -272,7 +273,7 @@ def _strip(axes: Axes, found: Diagnosis, events: Sequence[Event], window: tuple[
     rows = list(dict.fromkeys([one, *((e.kind, e.hypothesis) for e in inside)]))[: MOST_BESIDE + 1]
     for row, (kind, hypothesis) in enumerate(rows):
         own = [e for e in inside if (e.kind, e.hypothesis) == (kind, hypothesis)]
-        _bars(axes, found, own, window, row, KINDS[kind][1])
+        _bars(axes, found, own, window, row, COLOUR[kind])
     labels = {(e.kind, e.hypothesis): label(found, e, most=1) for e in inside}
     axes.set_yticks(range(len(rows)), [labels.get(row, row[1]) for row in rows], fontsize=7)
     axes.set_ylim(len(rows) - 0.5, -0.5)

@@ -22,8 +22,8 @@ from fusion_sfdia.common.files import atomic_write
 from fusion_sfdia.common.numerals import for_json
 from fusion_sfdia.detectors.verdicts import Verdict
 from fusion_sfdia.diagnosis.diagnose import Diagnosis
-from fusion_sfdia.diagnosis.events import EVEN, Event
-from fusion_sfdia.diagnosis.sentences import confidence_of, others_of, size_of
+from fusion_sfdia.diagnosis.events import Event
+from fusion_sfdia.diagnosis.sentences import KINDS, confidence_of, kind_of, others_of, size_of
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.figure_files import figure_svg
 from fusion_sfdia.report.log_figures import near, on_screen, overview, time_line
@@ -36,7 +36,6 @@ MOST_SENTENCES = 3  # of one finding; of one with more the first alone, and how 
 MOST_FIGURES = 32
 MOST_LINES = 100  # of the time line
 POINTS = (100, 2000, 8000)  # of a line at least and at most, and of all figures together
-WORDS = {"sensor": "sensor", "process": "process", "outside": "not learnt", "undecided": "undecided", "other": "other fault"}
 
 
 class About(NamedTuple):
@@ -149,7 +148,7 @@ def _title(found: Diagnosis, own: Sequence[Event]) -> str:
     """Name and kind of a finding."""
     e = own[0]
     name = found.words[e.hypothesis].name if e.hypothesis in found.words else e.hypothesis
-    return f"{name}: {e.fault or WORDS[e.kind]}" if e.kind != "undecided" else "Undecided"
+    return f"{name}: {e.fault or KINDS[e.kind].word}" if e.kind != "undecided" else "Undecided"
 
 
 def _caption(own: Sequence[Event]) -> str:
@@ -168,7 +167,7 @@ def _finding(found: Diagnosis, own: Sequence[Event], most: int) -> dict[str, Any
     more = f"{len(own)} occurrences in all, {found.clock.span(start, end)}; see Numbers." if many else ""
     return {
         "kind": first.kind,
-        "word": "possible" if first.confidence < EVEN else WORDS[first.kind],
+        "word": kind_of(first).word,
         "sentences": [found.sentence(e) for e in (own[:1] if many else own)],
         "more": more,
         "confidence": confidence_of(first),
@@ -181,7 +180,7 @@ def _finding(found: Diagnosis, own: Sequence[Event], most: int) -> dict[str, Any
 def _row(found: Diagnosis, e: Event) -> dict[str, str]:
     """An event as texts, with its statistics."""
     return {
-        "fault": " or ".join([e.fault, *e.fault_alternatives]) if e.fault else WORDS[e.kind],
+        "fault": " or ".join([e.fault, *e.fault_alternatives]) if e.fault else KINDS[e.kind].word,
         "start": found.clock.wall(e.start),
         "end": "end of the log" if e.open else found.clock.wall(e.end),
         "size": size_of(e, found.words),

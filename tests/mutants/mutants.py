@@ -999,6 +999,12 @@ MUTANTS = (
         "tests/learning/tuning/test_tune.py::test_a_rate_that_the_log_cannot_count_is_extrapolated_and_stated",
     ),
     Mutant(
+        "fusion_sfdia/diagnosis/lag.py",
+        "scatter[j] = max(SCATTER * float(np.median(np.abs(b))), 0.1)",
+        "scatter[j] = 1.0",
+        "tests/diagnosis/test_lag.py::test_noise_larger_than_stated_is_no_lag",
+    ),
+    Mutant(
         "fusion_sfdia/diagnosis/alarms.py",
         "QUIET = 600.0",
         "QUIET = 599.0",

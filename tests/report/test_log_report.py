@@ -140,7 +140,7 @@ def test_the_figure_begins_with_a_time_line_of_all_verdicts() -> None:
     ]
     line, size, *_ = figure.axes
     assert [label.get_text() for label in line.get_yticklabels()] == ["outlet", "l1 or inflow", "q12"]
-    assert [text.get_text() for text in line.texts] == ["process or model", "cannot tell", "bias"]
+    assert [text.get_text() for text in line.texts] == ["process", "undecided", "bias"]
     starts = [bars.get_paths()[0].vertices[:, 0].min() for bars in line.collections]
     np.testing.assert_allclose(starts, [45 / 60, 10 / 60, 105 / 60])
     shown = np.asarray(size.get_lines()[0].get_ydata(), dtype=float)
