@@ -206,9 +206,9 @@ function nearest(values, at) {
   return Math.abs(values[low] - at) <= Math.abs(values[high] - at) ? low : high;
 }
 
-// A time for people, to seconds, or to minutes or hundredths where `fine`, how well it is known (s), asks for that.
+// A time for people: to how well it is known, `fine` (s, or of the unit); on the wall clock to minutes, seconds or hundredths.
 function moment(t, unit, zone, fine) {
-  if (unit) return `${Number(t.toPrecision(7))} ${unit}`;
+  if (unit) return `${Number(t.toFixed(Math.min(9, Math.max(0, -Math.floor(Math.log10(fine))))))} ${unit}`;
   const places = fine > 1 ? 16 : fine < 0.005 ? 22 : 19, round = fine > 1 ? 60 : fine < 0.005 ? 0.01 : 1;
   return wall(Math.round(t / round) * round, zone).slice(0, places);
 }
