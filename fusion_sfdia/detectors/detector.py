@@ -242,9 +242,39 @@ def check_reading(plant: Plant, y: Array, u: Array, batch: tuple[int, ...]) -> t
 def run(detector: Detector, state: State, *data: Any, covariance: bool = False) -> tuple[State, Decision]:
     """Step through t (K,), y (K, ..., N), u (K, ..., m); return the last state and the Decisions stacked over time.
 
-    data: t, y, u, or a Log, a Recording or a pandas frame, see `as_log`. The first row of a frame with time stamps is at 0 s:
-    start it from init(..., t=-plant.dt). The covariances are left out by default: they take most of the memory.
-    ValueError where the data do not fit the plant, or their batch is not that of the state.
+    Parameters
+    ----------
+    detector : Detector
+        The method on its plant.
+    state : State
+        That of the detector before the first reading, from `init`, `run` or `load_state`. The first row of a frame with time
+        stamps is at 0 s: start it from init(..., t=-plant.dt).
+    *data : arrays, Log, Recording or frame
+        t, y, u, or one object that holds them, see `as_log`.
+    covariance : bool, default False
+        Whether the Decisions keep the covariances (K, ..., n, n), which take most of the memory.
+
+    Returns
+    -------
+    state : State
+        After the last reading.
+    decisions : Decision
+        Its arrays have the time as first axis.
+
+    Raises
+    ------
+    ValueError
+        Where the data do not fit the plant, or their batch is not that of the state.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import run, simulate
+    >>> from fusion_sfdia.detectors import RobustBank
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> bank = RobustBank(two_tanks())
+    >>> state, decisions = run(bank, bank.init(2), simulate(bank.plant, 20, seeds=[0, 1]))
+    >>> decisions.residual.shape, int(state.steps)
+    ((20, 2, 4), 20)
     """
     if isinstance(detector, type):
         raise ValueError(f"{detector.__name__} is a class; build it on a plant first, as in {detector.__name__}(plant)")

@@ -102,9 +102,38 @@ def register_plant(name: str, about: str, make: M, *, cases: Any = None) -> M: .
 def register_plant(name: str, about: str, make: Any = None, *, cases: Any = None) -> Any:
     """Register a plant: as a call with `make`, or as a decorator of a function.
 
-    make() returns the Plant with its usual settings; it may be given as a text "module:attribute", which is imported when the
-    plant is made. Returns `make`. See NamedPlant for `cases`. ValueError for a name of another form than "two-tanks", and for
-    one that is already registered.
+    Parameters
+    ----------
+    name : str
+        Of the form "two-tanks".
+    about : str
+        A description in a line.
+    make : callable or str, optional
+        make() returns the Plant with its usual settings. It may be given as a text "module:attribute", which is imported when
+        the plant is made. Without it a decorator is returned.
+    cases : ComparisonCases or str, optional
+        Mismatch cases, process faults, faults of papers and published numbers for the comparison, or lazily the
+        "module:attribute" of them; None for none.
+
+    Returns
+    -------
+    callable or str
+        `make` itself.
+
+    Raises
+    ------
+    ValueError
+        For a name of another form, and for one that is registered already from another source.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import detector, register_plant
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> @register_plant("tanks-of-my-rig", "two tanks with narrow outlets")
+    ... def narrow():
+    ...     return two_tanks(outlet=0.8)
+    >>> detector("robust-glr", "tanks-of-my-rig").plant.name
+    'two-tanks'
     """
     if make is None:
         return partial(register_plant, name, about, cases=cases)
@@ -154,10 +183,50 @@ def register_detector(
 ) -> Any:
     """Register a detector: as a call with `build`, or as a decorator of a class or function.
 
-    build(plant, **settings) returns the detector with its usual settings: its class, a function, or lazily the
-    "module:attribute" of one. Returns `build`. See NamedDetector for `memory`, `learns`, `tests_process`, `most_faults`,
-    `commissions`, `reference`.
-    ValueError for a name of another form than "kf-chi2" or "chebyshev:paper", and for one that is already registered.
+    Parameters
+    ----------
+    name : str
+        Of the form "kf-chi2" or "chebyshev:paper".
+    about : str
+        A description in a line.
+    build : callable, class or str, optional
+        build(plant, **settings) returns the detector with its usual settings: its class, a function, or lazily the
+        "module:attribute" of one. Without it a decorator is returned.
+    memory : str, default ""
+        "none" (present readings only), "state estimate only", or the time over which evidence of a fault accumulates; "" where
+        it is not stated.
+    learns : bool, default False
+        Whether build also takes `healthy` (readings, None for simulated ones) and `false_alarm` (a rate), as `learning.fit`
+        does.
+    tests_process : bool, default False
+        Whether it also distinguishes faults of the process or errors of the model from those of sensors.
+    most_faults : int, optional
+        How many sensors it isolates at once at most on any plant; None where only the plant limits it.
+    commissions : bool, default False
+        Whether it commissions the plant by itself from the log of the real one. Comparisons include one that does, or a
+        reference, only where it is named.
+    reference : bool, default False
+        Whether it only repeats another detector by other code, slowly, to check it.
+    **settings
+        Settings with which build is called.
+
+    Returns
+    -------
+    callable or class
+        `build` itself.
+
+    Raises
+    ------
+    ValueError
+        For a name of another form, and for one that is registered already from another source.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import detector, register_detector
+    >>> from fusion_sfdia.detectors import CentralFilter
+    >>> _ = register_detector("strict-filter", "one filter with few false alarms", CentralFilter, false_alarm=1e-6)
+    >>> detector("strict-filter", "two-tanks").detector.false_alarm
+    1e-06
     """
     if build is None:
         given: dict[str, Any] = {"memory": memory, "learns": learns, "tests_process": tests_process}

@@ -48,8 +48,31 @@ Arrays = dict[str, NDArray[Any]]
 def save_detector(path: str | Path, detector: Detector) -> None:
     """Write a detector, a frozen dataclass, to a .npz file: without its plant, of which a fingerprint is saved.
 
-    Settings may be numbers, text, None, arrays, tuples, mappings with text keys, and dataclasses or named tuples of such.
-    ValueError for a detector with anything else among its settings, such as a function, which only pickle keeps.
+    Parameters
+    ----------
+    path : str or Path
+        The file to write.
+    detector : Detector
+        Its settings may be numbers, text, None, arrays, tuples, mappings with text keys, and dataclasses or named tuples of
+        such.
+
+    Raises
+    ------
+    ValueError
+        For a detector with anything else among its settings, such as a function, which only pickle keeps.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from fusion_sfdia import load_detector, save_detector
+    >>> from fusion_sfdia.detectors import CentralFilter
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> with TemporaryDirectory() as folder:
+    ...     save_detector(Path(folder, "filter.npz"), CentralFilter(two_tanks(), false_alarm=1e-4))
+    ...     read = load_detector(Path(folder, "filter.npz"), two_tanks())
+    >>> read.false_alarm
+    0.0001
     """
     require_detector(detector)
     arrays: Arrays = {}
@@ -60,9 +83,29 @@ def save_detector(path: str | Path, detector: Detector) -> None:
 def load_detector(path: str | Path, plant: Plant, classes: Iterable[type] = ()) -> Any:
     """Read a detector that save_detector wrote, on its plant; on the same machine it decides with the same bits.
 
-    classes: of detectors and settings from outside of this package that the file may hold.
-    ValueError where the file is of another kind or damaged, where it holds any other class, and where the plant is not
-    the one with which it was saved: another name, noise, step or layout (see `fingerprint`).
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    plant : Plant
+        That with which it was saved.
+    classes : iterable of type, default ()
+        Detectors and settings from outside of this package that the file may hold.
+
+    Returns
+    -------
+    Detector
+        As it was saved.
+
+    Raises
+    ------
+    ValueError
+        Where the file is of another kind or damaged, where it holds any other class, and where the plant is not the one with
+        which it was saved: another name, noise, step or layout (see `fingerprint`).
+
+    Examples
+    --------
+    See `save_detector`.
     """
     if not isinstance(plant, Plant):
         raise ValueError(f"plant is {shown(plant)}; expected a Plant, such as fusion_sfdia.plants.two_tanks() returns it")

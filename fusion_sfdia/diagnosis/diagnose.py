@@ -52,13 +52,47 @@ BLOCK = 1000  # Decisions, which take ten times as much memory one by one as in 
 class Diagnosis:
     """Events, and the Decisions (time first) behind them with the times (K,).
 
-    In order of their start; of a detector that tests the process, too (`process_hypotheses`), its verdicts on the process
-    come first, then what it cannot tell apart, then the sensors. clock: wall-clock times of the log. gaps: stretches without
-    a row that the model was stepped through, or after which it started anew. health: whether the model fits; after: the
-    residuals behind that and behind kinds and sizes, both None where a Diagnosis was built without them. limit: that fewer
-    than half of the sensors can be isolated at once, and why; "" elsewhere. of_log: what was found in the log
-    that looks like a fault and is none, in words. suspects: sensors that were not judged, since their unit looks wrong.
-    words: how people call each hypothesis, by its name.
+    The events are in order of their start; of a detector that tests the process, too (`process_hypotheses`), its verdicts on
+    the process come first, then what it cannot tell apart, then the sensors.
+
+    Attributes
+    ----------
+    events : tuple of Event
+        What was found.
+    decisions : Decision
+        With arrays (K, ...), time first.
+    t : array (K,)
+        Times of the readings in s.
+    process_hypotheses : tuple of ProcessHypothesis
+        Those of the detector, in the order of `Decision.process`.
+    clock : Clock
+        Wall-clock times of the log.
+    gaps : tuple of Gap
+        Stretches without a row that the model was stepped through, or after which it started anew.
+    health : Health or None
+        Whether the model fits; None where a Diagnosis was built without it.
+    after : Residuals or None
+        The residuals behind the health and behind kinds and sizes; None where a Diagnosis was built without them.
+    limit : str
+        That fewer than half of the sensors can be isolated at once, and why; "" elsewhere.
+    of_log : tuple of str
+        What was found in the log that looks like a fault and is none, in words.
+    suspects : tuple of str
+        Sensors that were not judged, since their unit looks wrong.
+    words : mapping of str to Wording
+        How people call each hypothesis, by its name.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import Diagnosis, Fault, Log, diagnose, simulate
+    >>> from fusion_sfdia.faults import apply_faults
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> healthy = simulate(plant, 100, seeds=[1])
+    >>> readings = apply_faults(plant, healthy.t, healthy.y, [Fault("l1", "bias", onset=300.0, magnitude=0.08)])
+    >>> found: Diagnosis = diagnose("robust-glr", Log(healthy.t, readings.y[:, 0], healthy.u), plant=plant)
+    >>> found.state, [event.hypothesis for event in found.events]
+    (<Verdict.SENSOR: 'sensor'>, ['l1'])
     """
 
     events: tuple[Event, ...]
@@ -153,7 +187,18 @@ class Diagnosis:
         return [e for e in self.events if isinstance(e, UndecidedEvent) and id(e) not in stand]
 
     def sentence(self, event: Event) -> str:
-        """An event in a sentence for people, and what to do, see `sentences`."""
+        """An event in a sentence for people, and what to do, see `sentences`.
+
+        Parameters
+        ----------
+        event : Event
+            One of `events`.
+
+        Returns
+        -------
+        str
+            With the times of `clock`.
+        """
         return sentence(event, self.words, self.clock, ended=self._seen_to_end(event))
 
     def _seen_to_end(self, event: Event) -> bool:
@@ -207,9 +252,17 @@ class Diagnosis:
         return as_html(self.verdict, self.health.line if self.health else "", ("what", "from", "to", "in words"), rows)
 
     def frame(self) -> Any:
-        """The events as a pandas DataFrame, a column for each of events.csv; MissingPackageError without pandas.
+        """The events as a pandas DataFrame, a column for each of events.csv.
 
-        start, end: time stamps with the log's zone, or durations where the log has seconds alone.
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each event. start, end: time stamps with the log's zone, or durations where the log has seconds alone.
+
+        Raises
+        ------
+        MissingPackageError
+            Without pandas.
         """
         try:
             pandas: Any = import_module("pandas")
@@ -225,7 +278,15 @@ class Diagnosis:
         return found
 
     def table(self) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
-        """Names of columns and a row for each event; kind, sd and nominal only where the process is tested."""
+        """Names of columns and a row for each event; kind, sd and nominal only where the process is tested.
+
+        Returns
+        -------
+        columns : tuple of str
+            The names.
+        rows : list of tuple
+            As long as the names, one for each of `events`.
+        """
         added = ("fault", "start", "end", "size_low", "size_high", "size_sigma", "confidence", "alternatives")
         more = [
             (

@@ -32,15 +32,45 @@ WITHOUT_MAGNITUDE = ("freeze", "dropout", "replay")
 class Fault:
     """A fault of one sensor from `onset` for `length` seconds (inf: to the end).
 
-    magnitude: b, in the sensor's unit (a factor for scale). relative: b is that many times the absolute value of the
-    noise-free signal at the first faulty sample, so that its sign is the error's; where readings stand for the signal and
-    that one is missing, of the last known reading before it, or else of the first known one after it. rise: seconds in
-    which a drift reaches b (None: its whole length). probability: of spikes and dropouts at each sample. period: seconds of
-    readings that a replay repeats (None: its whole length), or as many as there are.
+    Parameters
+    ----------
+    sensor : str
+        Its name.
+    kind : str
+        "bias", "drift", "scale", "noise", "spikes", "freeze", "dropout" or "replay", see FAULT_KINDS.
+    onset : float
+        Time of its begin in s.
+    length : float, default inf
+        Its duration in s.
+    magnitude : float, default 0
+        b, in the sensor's unit (a factor for scale).
+    relative : bool, default False
+        b is magnitude times the absolute value of the noise-free signal at the first faulty sample, so that its sign is the
+        error's; where readings stand for the signal and that one is missing, of the last known reading before it, or else of
+        the first known one after it.
+    rise : float, optional
+        Seconds in which a drift reaches b; None: its whole length.
+    probability : float, default 1
+        Of spikes and dropouts at each sample.
+    period : float, optional
+        Seconds of readings that a replay repeats, or as many as there are; None: its whole length.
 
+    Raises
+    ------
+    ValueError
+        For an unknown kind, numbers that do not fit it, and a magnitude that is missing or has no effect.
+
+    Notes
+    -----
     Shaheen 2024, sec. IV-B: a bias of M samples has length = M dt; a drift that reaches b in M samples and holds it for
     K has rise = M dt, length = (M + K) dt. Its printed ranges (0 <= k - m <= M) are M + 1 samples and overlap, with a
     drift of b (M + 1)/M at k - m = M; M is called the number of samples, so 0 <= k - m < M stands here.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import Fault
+    >>> Fault("l1", "drift", onset=600.0, length=900.0, magnitude=0.05, rise=300.0).rise
+    300.0
     """
 
     sensor: str

@@ -73,20 +73,58 @@ def simulate(
 ) -> Recording:
     """Simulate readings for a detector on `plant`.
 
-    times: number of steps of plant.dt, or the times (K,) of the readings, increasing from t0. truth: the source of the
-    readings: "finer" for the plant's high-fidelity model where it has one, so that a detector is not tested on its own model
-    (the inverse crime), with the noise of the plant's sensors; "model" for `plant` itself, the setting of most papers; or a
-    plant with the same sensors and inputs, whose dt divides plant.dt and whose sensors' noise is added. to_states: maps the
-    states (K, B, n') of such a plant to those of `plant`; without it, and with states of other names, x is None.
-    process_noise: whether the truth is disturbed by its process noise. start: "nominal" for the truth's x0, "sampled" from its
-    initial covariance, or states (n',) or (B, n'). inputs: u as a function of the time from which it acts, or as (K, m); None
-    for the truth's operation, in closed loop where it has feedback, whose controllers get the simulated readings. It is held
-    from one reading to the next; until the first one the operation acts alone.
+    Parameters
+    ----------
+    plant : Plant
+        The model of the detector.
+    times : int or array (K,)
+        Number of steps of plant.dt, or the times of the readings in s, increasing from t0.
+    seeds : sequence of int (B,)
+        One run for each.
+    truth : Plant or str, default "finer"
+        The source of the readings: "finer" for the plant's high-fidelity model where it has one, so that a detector is not
+        tested on its own model (the inverse crime), with the noise of the plant's sensors; "model" for `plant` itself, the
+        setting of most papers; or a plant with the same sensors and inputs, whose dt divides plant.dt and whose sensors' noise
+        is added.
+    to_states : callable, optional
+        Maps the states (K, B, n') of such a plant to those of `plant` (K, B, n); without it, and with states of other names, x
+        is None.
+    process_noise : bool, default False
+        Whether the truth is disturbed by its process noise.
+    start : str or array, default "nominal"
+        "nominal" for the truth's x0, "sampled" from its initial covariance, or states (n',) or (B, n').
+    inputs : callable or array (K, m), optional
+        u as a function of the time (s) from which it acts, or as an array; None for the truth's operation, in closed loop where
+        it has feedback, whose controllers get the simulated readings. It is held from one reading to the next; until the first
+        one the operation acts alone.
+    t0 : float, default 0
+        Time before the first reading in s.
 
+    Returns
+    -------
+    Recording
+        Readings y (K, B, N), and the truth behind them.
+
+    Raises
+    ------
+    ValueError
+        For arguments that do not fit.
+    ArithmeticError
+        Where a run leaves the limits of the truth's model.
+
+    Notes
+    -----
     Noise: Gaussian where a sigma is stated, uniform within the bound where only a bound is, Gaussian truncated to the
     bound where both are; the process noise likewise. That of a sensor that states `SlowNoise` has that course where readings
-    are plant.dt apart. Raises ValueError for arguments that do not fit, ArithmeticError where a run leaves the limits of the
-    truth's model.
+    are plant.dt apart.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import simulate
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> recording = simulate(two_tanks(), 50, seeds=[0, 1])
+    >>> recording.t.shape, recording.y.shape, recording.u.shape
+    ((50,), (50, 2, 4), (50, 1))
     """
     if isinstance(truth, str):
         if truth not in ("finer", "model"):

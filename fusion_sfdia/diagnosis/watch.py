@@ -89,17 +89,43 @@ class Watch:
     `refused`, as is a late sensor, once in 585 samples and by `last`. What is known beforehand counts from the first row:
     Watch(judged.detector, unread=judged.unread) with judged = `prepared(detector, check_log(...))` of an earlier log.
 
-    gap: samples without a verdict after which an event closes. hold: seconds for which an input that is missing, or beyond the
-    limits of its signal, keeps its last value. nominal_inputs: whether the plant's usual value is taken instead. at_sample:
-    whether the inputs of a row act from then on, as measured ones do, or acted until then, as in a Log. longest_gap: seconds
-    over which the detector predicts without readings, in steps of dt; default 10 000 dt. reorder: seconds for which rows are
-    held, so that those that come in another order are put in order; every row is diagnosed that much later. keep_last: whether
-    of held rows with one time the last counts, in place of the first. kinds: whether faults are named and the model is tested,
-    see `SecondLook`. repeats: whether readings that repeat the one before are judged as they are. unknown_inputs: whether a
-    missing input stays so, for a detector that takes it. unread: sensors whose readings are not used and whose silence is no
-    event, since they are absent or in a unit that looks wrong. refused: called with a line for each row or run of rows that is
-    not taken; by default a WatchWarning.
+    Parameters
+    ----------
+    detector : Detector
+        To be stepped.
+    gap : int, default 3
+        Samples without a verdict after which an event closes.
+    hold : float, default 0
+        Seconds for which an input that is missing, or beyond the limits of its signal, keeps its last value.
+    nominal_inputs : bool, default False
+        Whether the plant's usual value is taken instead.
+    at_sample : bool, default False
+        Whether the inputs of a row act from then on, as measured ones do, or acted until then, as in a Log.
+    longest_gap : float, optional
+        Seconds over which the detector predicts without readings, in steps of dt; default 10 000 dt.
+    reorder : float, default 0
+        Seconds for which rows are held, so that those that come in another order are put in order; every row is diagnosed that
+        much later.
+    keep_last : bool, default False
+        Whether of held rows with one time the last counts, in place of the first.
+    kinds : bool, default True
+        Whether faults are named and the model is tested, see `SecondLook`.
+    repeats : bool, default False
+        Whether readings that repeat the one before are judged as they are.
+    unknown_inputs : bool, default False
+        Whether a missing input stays so, for a detector that takes it.
+    unread : iterable of str, default ()
+        Sensors whose readings are not used and whose silence is no event, since they are absent or in a unit that looks wrong.
+    refused : callable, optional
+        Called with a line for each row or run of rows that is not taken; by default a WatchWarning.
 
+    Raises
+    ------
+    ValueError
+        For settings that do not fit, and for unread sensors that the plant does not have.
+
+    Notes
+    -----
     Rows that are not as expected never end a watch:
 
     - A row whose numbers do not fit, or without an input, is not taken.
@@ -118,6 +144,19 @@ class Watch:
     Where nothing can be judged, for want of readings or of a model that gives numbers, the verdict of a sample is "blind". A
     change "blind" states the reason, at once where the model fails, after `gap` samples where readings are missing; a change
     "sees again" follows after `gap` samples that were judged.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import Watch, simulate
+    >>> from fusion_sfdia.detectors import CentralFilter
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> recording = simulate(plant, 40, seeds=[1])
+    >>> watch = Watch(CentralFilter(plant, false_alarm=1e-6))
+    >>> y = recording.y[:, 0] + 0.2 * (recording.t > 100)[:, None] * [1.0, 0.0, 0.0, 0.0]  # a bias of l1
+    >>> for change in watch.events(zip(recording.t, y, recording.u)):
+    ...     print(change.what, change.t, change.event.hypothesis)
+    opened 105.0 l1
     """
 
     def __init__(
@@ -166,16 +205,38 @@ class Watch:
         self.order = InOrder(number("reorder", reorder), self.longest_gap, refused, keep_last, detector.plant.dt)
 
     def events(self, rows: Iterable[tuple[float | datetime, Any, Any]]) -> Iterator[Change]:
-        """What rows (t, y, u), see `update`, decide, each as soon as its row is taken."""
+        """What rows (t, y, u) decide, each as soon as its row is taken.
+
+        Parameters
+        ----------
+        rows : iterable of tuple
+            t, y (N,) and u (m,) of one row after another, see `update`.
+
+        Yields
+        ------
+        Change
+            In the order of the rows.
+        """
         for row in rows:
             for sample in self.update(*row):
                 yield from sample.changes
 
     def update(self, t: float | datetime, y: Any, u: Any = ()) -> tuple[Sample, ...]:
-        """Diagnose the readings y (N,) at t, NaN where missing, with the inputs u (m,), see `at_sample`.
+        """Diagnose the readings y (N,) at t, NaN where missing, with the inputs u (m,).
 
-        t: in seconds, or all rows as time stamps, which become seconds since the first. Returns the rows diagnosed: this one,
-        none where it is not taken or waits, more where others waited for it.
+        Parameters
+        ----------
+        t : float or datetime
+            In seconds, or all rows as time stamps, which become seconds since the first.
+        y : array (N,)
+            Readings in the units of the sensors.
+        u : array (m,), default ()
+            Inputs, see `at_sample`.
+
+        Returns
+        -------
+        tuple of Sample
+            The rows diagnosed: this one, none where it is not taken or waits, more where others waited for it.
         """
         try:
             row = self._row(t, y, u)
@@ -185,25 +246,58 @@ class Watch:
         return self._in_turn(self.order.push(row, self.t, self.clock))
 
     def finish(self) -> tuple[Sample, ...]:
-        """Diagnose the rows that are held for their order, at the end of the input; what comes later is late."""
+        """Diagnose the rows that are held for their order, at the end of the input; what comes later is late.
+
+        Returns
+        -------
+        tuple of Sample
+            The rows diagnosed.
+        """
         return self._in_turn(self.order.rest(self.t, self.clock))
 
     def take(self, t: float | datetime, y: Any, u: Any = ()) -> tuple[Sample, ...]:
-        """The former name of `update`."""
+        """The former name of `update`.
+
+        Parameters
+        ----------
+        t : float or datetime
+            As of `update`.
+        y : array (N,)
+            As of `update`.
+        u : array (m,), default ()
+            As of `update`.
+
+        Returns
+        -------
+        tuple of Sample
+            As of `update`.
+        """
         warnings.warn(
             "Watch.take is now Watch.update; the former name will be removed in the next release", DeprecationWarning, 2
         )
         return self.update(t, y, u)
 
     def rest(self) -> tuple[Sample, ...]:
-        """The former name of `finish`."""
+        """The former name of `finish`.
+
+        Returns
+        -------
+        tuple of Sample
+            As of `finish`.
+        """
         warnings.warn(
             "Watch.rest is now Watch.finish; the former name will be removed in the next release", DeprecationWarning, 2
         )
         return self.finish()
 
     def last(self) -> list[Change]:
-        """What the second look would report if no row came any more; the watch stays as it is."""
+        """What the second look would report if no row came any more; the watch stays as it is.
+
+        Returns
+        -------
+        list of Change
+            Empty where there is nothing to add.
+        """
         alarms = Alarms.of(str(self.alarms))
         return [] if self.t is None else [alarms.with_alarm(change) for change in self.findings.last(self.t, self.clock)]
 
@@ -347,6 +441,11 @@ class Watch:
         """Write the state of this watch to a file, whole or not at all, from which `load` goes on with the same bits.
 
         Rows that wait or are held are not in it: they are to be given again. Before the first row nothing is written.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
         """
         if self.t is None:
             return
@@ -365,10 +464,29 @@ class Watch:
 
     @classmethod
     def load(cls, path: str | Path, detector: Detector, **settings: Any) -> Watch:
-        """The watch that was saved, with the same detector and settings, see `Watch`.
+        """The watch that was saved, with the same detector and settings.
 
         Given all rows after `t` again, or all rows from the start, it goes on as if it had never stopped: what it decided
-        after the save it decides again, with the same ids. ValueError for another file, version, detector or plant.
+        after the save it decides again, with the same ids.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file that `save` wrote.
+        detector : Detector
+            That of the saved watch.
+        **settings
+            Those of the saved watch, see `Watch`.
+
+        Returns
+        -------
+        Watch
+            As it was when it was saved.
+
+        Raises
+        ------
+        ValueError
+            For another file, version, detector or plant.
         """
         found = cls(detector, **settings)
         parts: dict[str, dict[str, Array]] = {"watch": {}, "changes": {}, "slow": {}, "state": {}}

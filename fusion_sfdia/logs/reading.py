@@ -41,14 +41,44 @@ def load_log(
 ) -> LoadedLog:
     """Read a log of a plant: its readings and inputs in the plant's units, its wall-clock start, and what was found and done.
 
-    source: a frame of pandas, Polars or Arrow, or a file: CSV, Parquet, Arrow, Excel, TDMS, MDF. log_map: a LogMap or its
-    file; without one the columns have the plant's names, with or without their unit in brackets, and inputs acted until
-    their row, as `simulate` and `write_log` write them. Times are seconds, numbers since 1970 or ISO stamps; of the last two
-    t begins at 0.
-    absent_sensors: a sensor without a column is NaN throughout. other_columns: columns that are neither are ignored.
-    nominal_inputs: inputs without a column are the plant's operation (plant.input_at) at the reading before, or dt before
-    where that is later. ValueError naming file, row (of a file the header is row 1) and column for anything else than times
-    in order, finite or missing readings, and inputs that are known and within their limits.
+    Parameters
+    ----------
+    source : str, Path or frame
+        A frame of pandas, Polars or Arrow, or a file: CSV, Parquet, Arrow, Excel, TDMS, MDF. Times are seconds, numbers since
+        1970 or ISO stamps; of the last two t begins at 0.
+    plant : Plant
+        Whose sensors and inputs are read.
+    log_map : LogMap, str or Path, optional
+        A LogMap or its file; without one the columns have the plant's names, with or without their unit in brackets, and inputs
+        acted until their row, as `simulate` and `write_log` write them.
+    absent_sensors : bool, default False
+        A sensor without a column is NaN throughout.
+    other_columns : bool, default False
+        Columns that are neither are ignored.
+    nominal_inputs : bool, default False
+        Inputs without a column are the plant's operation (plant.input_at) at the reading before, or dt before where that is
+        later.
+
+    Returns
+    -------
+    LoadedLog
+        The Log, its clock and columns, and what was found.
+
+    Raises
+    ------
+    ValueError
+        Naming file, row (of a file the header is row 1) and column for anything else than times in order, finite or missing
+        readings, and inputs that are known and within their limits.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from fusion_sfdia import load_log
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> frame = pd.DataFrame({"time": [0.0, 5.0], **{name: [1.0, 1.0] for name in plant.sensor_names}})
+    >>> load_log(frame, plant, nominal_inputs=True).log.y.shape
+    (2, 4)
     """
     chosen = load_map(log_map) if isinstance(log_map, str | Path) else log_map or PLAIN_MAP
     allowed = {"absent": absent_sensors, "other": other_columns, "nominal": nominal_inputs}

@@ -83,13 +83,57 @@ def discretise(
 ) -> Plant:
     """Return the plant that integrates physics by RK4 with held inputs; each sensor reads a state or an algebraic variable.
 
-    x0 (n,), covariances (n,) or (n, n) in SI, by default from the signals of the states as in `Plant`; dt in seconds, divided
-    into `substeps`. decay: rates a (n,) of states that follow x' = -a x + h, in 1/s; with them the plant is integrated by the
-    exponential midpoint rule. max_dt: the longest step at once (s), None for `largest_step`; `diagnose` divides longer gaps
-    into steps of dt. process_bound, operation: as in `Plant` and `Truth`. unknown: those of physics.parameters that are not
-    known exactly, by their names; f and phi then get each as an array (...) of the batch. input_errors: as `inputs` of
-    `Uncertainty`. Raises ValueError for a sensor of an unknown variable, f or phi of another shape, less than one substep, a
-    rate that is not positive and an unknown parameter that physics.parameters does not have.
+    Parameters
+    ----------
+    physics : Physics
+        The equations in continuous time.
+    sensors : sequence of Sensor
+        Each measures a state or an algebraic variable.
+    dt : float
+        Time between readings in s, divided into `substeps`.
+    x0 : array (n,), optional
+        Initial state in SI, by default from the signals of the states as in `Plant`.
+    initial_cov : array (n,) or (n, n), optional
+        Covariance of x0 in SI, by default likewise.
+    process_cov : array (n,) or (n, n), optional
+        Covariance of the process noise over dt in SI, by default likewise.
+    substeps : int, default 1
+        Steps of the integration within dt.
+    process_bound : array (n,), optional
+        As in `Plant`.
+    operation : callable, optional
+        As in `Truth`.
+    decay : array (n,), optional
+        Rates a of states that follow x' = -a x + h, in 1/s; with them the plant is integrated by the exponential midpoint rule.
+    max_dt : float, optional
+        The longest step at once in s, None for `largest_step`; `diagnose` divides longer gaps into steps of dt.
+    unknown : sequence of Parameter, default ()
+        Those of physics.parameters that are not known exactly, by their names; f and phi then get each as an array (...) of the
+        batch.
+    input_errors : mapping of str to float, optional
+        As `inputs` of `Uncertainty`.
+
+    Returns
+    -------
+    Plant
+        Named as physics.
+
+    Raises
+    ------
+    ValueError
+        For a sensor of an unknown variable, f or phi of another shape, less than one substep, a rate that is not positive and
+        an unknown parameter that physics.parameters does not have.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion_sfdia import Physics, Sensor, Signal, discretise
+    >>> level = Signal("level", "m", nominal=1.0, low=0.0, high=2.0, initial_sigma=0.05, process_sigma=1e-3)
+    >>> tank = Physics("tank", (level,), f=lambda t, x, z, u, c: u - c * np.sqrt(x), inputs=(Signal("inflow", "m/s", 1e-3),),
+    ...                parameters=1e-3)
+    >>> plant = discretise(tank, [Sensor("gauge", "level", "m", sigma=0.01)], dt=60.0)
+    >>> plant.step(0.0, plant.x0, np.array([2e-3]), 60.0).round(3)
+    array([1.059])
     """
     if substeps < 1:
         raise ValueError(f"substeps is {substeps}; a step of {physics.name!r} takes at least 1")

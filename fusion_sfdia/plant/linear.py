@@ -54,10 +54,58 @@ def linear_plant(
 ) -> Plant:
     """Return the plant x+ = F x + G u + c, y = H x + D u + d with a fixed dt (s); G, c, D and d are 0 by default.
 
-    transition F (n, n), input_matrix G (n, m), offset c (n,); readout H (N, n), feedthrough D (N, m), output_offset d (N,). For
-    a model linearised about an operating point (x*, u*), c = f(x*, u*) - F x* - G u*, and d likewise. D multiplies the input
-    that acted until the reading. x0 and the covariances are by default those of the signals of the states, as in `Plant`.
-    Raises ValueError for shapes that do not fit and entries that are not finite.
+    For a model linearised about an operating point (x*, u*), c = f(x*, u*) - F x* - G u*, and d likewise. D multiplies the
+    input that acted until the reading.
+
+    Parameters
+    ----------
+    name : str
+        Of the plant.
+    transition : array (n, n)
+        F.
+    readout : array (N, n)
+        H.
+    sensors : sequence of Sensor (N,)
+        With their noise.
+    dt : float
+        Time between readings in s.
+    x0 : array (n,), optional
+        Initial state, by default that of the signals of the states, as in `Plant`.
+    initial_cov : array (n,) or (n, n), optional
+        Covariance of x0, by default likewise.
+    process_cov : array (n,) or (n, n), optional
+        Covariance of the process noise of a step, by default likewise.
+    input_matrix : array (n, m), optional
+        G.
+    offset : array (n,), optional
+        c.
+    feedthrough : array (N, m), optional
+        D.
+    output_offset : array (N,), optional
+        d.
+    states : sequence of Signal (n,), optional
+        By default x0, x1, ...
+    inputs : sequence of Signal (m,), default ()
+        The signals of u.
+
+    Returns
+    -------
+    Plant
+        With F and H as its Jacobians.
+
+    Raises
+    ------
+    ValueError
+        For shapes that do not fit and entries that are not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion_sfdia import Sensor, linear_plant
+    >>> gauges = [Sensor("gauge_1", "x0", sigma=0.01), Sensor("gauge_2", "x0", sigma=0.02)]
+    >>> plant = linear_plant("tank", [[0.5]], [[1.0], [1.0]], gauges, dt=60.0, x0=[0.0], initial_cov=[4e-4], process_cov=[1e-6])
+    >>> plant.step(0.0, np.array([0.5]), np.zeros(0), 60.0)
+    array([0.25])
     """
     f, h = floats("transition", transition), floats("readout", readout)
     n = f.shape[0] if f.ndim else 0

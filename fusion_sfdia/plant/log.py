@@ -17,7 +17,25 @@ TIME = Signal("time", "s")
 
 
 class Log(NamedTuple):
-    """Times t (K,) in s, readings y (K, ..., N) with NaN where missing, inputs u (K, ..., m) that acted until t."""
+    """Times t (K,) in s, readings y (K, ..., N) with NaN where missing, inputs u (K, ..., m) that acted until t.
+
+    Attributes
+    ----------
+    t : array (K,)
+        Times of the readings in s.
+    y : array (K, ..., N)
+        Readings in the units of the sensors, NaN where missing.
+    u : array (K, ..., m)
+        Inputs that acted until t.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion_sfdia import Log
+    >>> log = Log(t=np.array([0.0, 5.0]), y=np.array([[1.0, np.nan], [1.1, 0.9]]), u=np.zeros((2, 1)))
+    >>> log._replace(y=log.y * 100).y[1]
+    array([110.,  90.])
+    """
 
     t: Array
     y: Array

@@ -113,21 +113,61 @@ def _require_functions(group: Any, *names: str) -> None:
 class Plant:
     """A discretised plant: x(t_start + dt) = step(t_start, x, u, dt) + w, y(t) = output(t, x, u) + v.
 
-    A first plant needs the first six fields:
+    A first plant needs the first six fields.
 
-    name, and the signals of states (n,) and sensors (N,), which never change: a missing reading is NaN. step, output:
-    functions of batches, x (..., n) to (..., n) and (..., N). u (..., m) is the input that acts over [t_start,
-    t_start + dt]; for the output, the input that acted until t, the time of the readings (s). dt: nominal time between
-    readings, s.
+    Parameters
+    ----------
+    name : str
+        Of the plant.
+    states : tuple of Signal (n,)
+        The signals of x.
+    sensors : tuple of Sensor (N,)
+        The signals of y, which never change: a missing reading is NaN.
+    step : callable
+        step(t_start, x (..., n), u (..., m), dt) -> (..., n), a function of batches. u is the input that acts over
+        [t_start, t_start + dt].
+    output : callable
+        output(t, x (..., n), u (..., m)) -> (..., N), a function of batches. u is the input that acted until t, the time of the
+        readings (s).
+    dt : float
+        Nominal time between readings in s.
+    inputs : tuple of Signal (m,), default ()
+        The signals of u.
+    x0 : array (n,), optional
+        Initial state, by default the nominal values of the states.
+    initial_cov : array (n,) or (n, n), optional
+        Covariance of x0, by default diag(initial_sigma^2) of the states.
+    process_cov : array (n,) or (n, n), optional
+        Covariance of w over one nominal dt, by default diag(process_sigma^2) of the states; it grows in proportion to dt. There
+        is no default noise.
+    process_bound : array (n,), optional
+        Largest |w| over one nominal dt, None where not stated.
+    numerics : Numerics
+        Jacobians and admissible steps.
+    truth : Truth
+        Operation, controllers and high-fidelity model of simulations.
+    structure : Structure
+        Scalar equations and areas.
+    uncertainty : Uncertainty
+        Parameters, errors of inputs and disturbances that the model does not know, see `augment`.
 
-    inputs: the signals of u. x0 (n,): initial state. initial_cov: covariance of x0. process_cov: covariance of w over one
-    nominal dt; it grows in proportion to dt. Both are a diagonal (n,) or a matrix (n, n). By default the signals of the states
-    give them: x0 = nominal, initial_cov = diag(initial_sigma^2), process_cov = diag(process_sigma^2); there is no default
-    noise. process_bound (n,): largest |w| over one nominal dt, None where not stated.
+    Raises
+    ------
+    ValueError
+        For what does not fit together.
 
-    numerics: Jacobians and admissible steps. truth: operation, controllers and high-fidelity model of simulations. structure:
-    scalar equations and areas. uncertainty: parameters, errors of inputs and disturbances that the model does not know, see
-    `augment`. Raises ValueError for what does not fit together.
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion_sfdia import Plant, Sensor, Signal
+    >>> level = Signal("level", "m", nominal=1.0, initial_sigma=0.02, process_sigma=1e-3)
+    >>> def step(t_start, x, u, dt):
+    ...     return x + dt * (1e-3 - 1e-3 * np.sqrt(x))
+    >>> def output(t, x, u):
+    ...     return x
+    >>> plant = Plant("tank", (level,), (Sensor("gauge", "level", "m", sigma=0.01),), step, output, dt=60.0)
+    >>> plant.step(0.0, np.array([[1.0], [4.0]]), np.zeros(0), 60.0).round(2).tolist()  # a batch of two
+    [[1.0], [3.94]]
     """
 
     name: str
@@ -247,11 +287,37 @@ class Plant:
         return cyclic([s.period for s in self.states])
 
     def near(self, y: Array, expected: Array) -> Array:
-        """Readings (..., N) on the turn of the expected ones (..., N): y - expected is then the wrapped residual."""
+        """Readings on the turn of the expected ones: y - expected is then the wrapped residual.
+
+        Parameters
+        ----------
+        y : array (..., N)
+            Readings in the units of the sensors.
+        expected : array (..., N)
+            Those that are expected.
+
+        Returns
+        -------
+        array (..., N)
+            y itself where no sensor is cyclic.
+        """
         return near(y, expected, self.cyclic_sensors)
 
     def states_near(self, x: Array, other: Array) -> Array:
-        """States (..., n) on the turn of others (..., n)."""
+        """States on the turn of others.
+
+        Parameters
+        ----------
+        x : array (..., n)
+            States.
+        other : array (..., n)
+            Those of the turn.
+
+        Returns
+        -------
+        array (..., n)
+            x itself where no state is cyclic.
+        """
         return near(x, other, self.cyclic_states)
 
     @cached_property
@@ -271,13 +337,45 @@ class Plant:
         return {name: np.array(members) for name, members in groups.items()}
 
     def sensor_index(self, name: str) -> int:
-        """Return the position of a sensor; ValueError for an unknown name."""
+        """Return the position of a sensor.
+
+        Parameters
+        ----------
+        name : str
+            Of the sensor.
+
+        Returns
+        -------
+        int
+            Its position among `sensors`.
+
+        Raises
+        ------
+        ValueError
+            For an unknown name.
+        """
         if name not in self.sensor_names:
             raise ValueError(f"unknown sensor {name!r} of plant {self.name!r}; known: {', '.join(self.sensor_names)}")
         return self.sensor_names.index(name)
 
     def input_at(self, t: float) -> Array:
-        """Return the plant's usual input at t, (m,); ValueError where `truth.operation` gives another shape."""
+        """Return the plant's usual input at t.
+
+        Parameters
+        ----------
+        t : float
+            Time in s from which it acts.
+
+        Returns
+        -------
+        array (m,)
+            In the units of the inputs.
+
+        Raises
+        ------
+        ValueError
+            Where `truth.operation` gives another shape.
+        """
         if self.truth.operation is None:
             return np.array([s.nominal for s in self.inputs])
         u = floats(f"the input that operation of plant {self.name!r} gives", self.truth.operation(t))
@@ -286,7 +384,18 @@ class Plant:
         return u
 
     def check_dt(self, dt: float) -> None:
-        """Raise ValueError where the model does not hold for a step of dt seconds."""
+        """Raise ValueError where the model does not hold for a step of dt seconds.
+
+        Parameters
+        ----------
+        dt : float
+            Length of the step in s.
+
+        Raises
+        ------
+        ValueError
+            Which states the admissible steps.
+        """
         if not (isfinite(dt) and dt > 0):
             raise ValueError(f"a step of {dt} s; times must be finite and increase")
         if self.numerics.fixed_dt and not abs(dt - self.dt) <= 1e-8 + 1e-9 * self.dt:
@@ -298,11 +407,39 @@ class Plant:
             )
 
     def process_cov_over(self, dt: float) -> Array:
-        """Process-noise covariance of a step of dt seconds, (n,) or (n, n)."""
+        """Process-noise covariance of a step of dt seconds.
+
+        Parameters
+        ----------
+        dt : float
+            Length of the step in s.
+
+        Returns
+        -------
+        array (n,) or (n, n)
+            `process_cov` times dt over the nominal dt.
+        """
         return self.process_cov if dt == self.dt else self.process_cov * (dt / self.dt)
 
     def step_jacobian_at(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
-        """F = d step / d x, (..., n, n)."""
+        """F = d step / d x.
+
+        Parameters
+        ----------
+        t_start : float
+            Time at which the step begins, in s.
+        x : array (..., n)
+            State at t_start.
+        u : array (..., m)
+            Input that acts during the step.
+        dt : float
+            Length of the step in s.
+
+        Returns
+        -------
+        array (..., n, n)
+            That which `numerics` states, or from the complex step, or from differences where that does not hold.
+        """
         if (jacobian := self.jacobians[0]) is not None:
             return self.jacobian_of_shape("step_jacobian", jacobian(t_start, x, u, dt), len(self.states))
         if self._complex_step_holds[0]:
@@ -312,7 +449,22 @@ class Plant:
         return difference_jacobian(lambda p: self.states_near(ahead(p, u[..., None, :], dt), here), x, self.state_scale)
 
     def output_jacobian_at(self, t: float, x: Array, u: Array) -> Array:
-        """H = d output / d x, (..., N, n) or (N, n) where it is the same for the whole batch."""
+        """H = d output / d x.
+
+        Parameters
+        ----------
+        t : float
+            Time of the readings in s.
+        x : array (..., n)
+            State at t.
+        u : array (..., m)
+            Input that acted until t.
+
+        Returns
+        -------
+        array (..., N, n) or (N, n)
+            The latter where it is the same for the whole batch.
+        """
         if (jacobian := self.jacobians[1]) is not None:
             return self.jacobian_of_shape("output_jacobian", jacobian(t, x, u), len(self.sensors))
         if self._complex_step_holds[1]:
@@ -402,7 +554,27 @@ class Plant:
         return number.ravel() if len(rows) < len(self.sensors) else None
 
     def jacobian_of_shape(self, what: str, jacobian: Array, rows: int) -> Array:
-        """The Jacobian itself; ValueError unless it is (..., rows, n)."""
+        """The Jacobian itself, checked.
+
+        Parameters
+        ----------
+        what : str
+            Its name, for the error.
+        jacobian : array (..., rows, n)
+            To be checked.
+        rows : int
+            n or N.
+
+        Returns
+        -------
+        array (..., rows, n)
+            As it was given.
+
+        Raises
+        ------
+        ValueError
+            For any other shape.
+        """
         if np.shape(jacobian)[-2:] != (rows, len(self.states)):
             raise ValueError(
                 f"{what} of plant {self.name!r} gives shape {np.shape(jacobian)}; expected (..., {rows}, {len(self.states)})"
@@ -423,11 +595,35 @@ class Plant:
         return np.where(whole, -np.inf, low), np.where(whole, np.inf, high)
 
     def guard(self, x: Array) -> tuple[Array, Array]:
-        """Return x (..., n) moved into the limits of the states, and whether any state was moved (...)."""
+        """Return states moved into their limits, and whether any state was moved.
+
+        Parameters
+        ----------
+        x : array (..., n)
+            States.
+
+        Returns
+        -------
+        x : array (..., n)
+            Within the limits of the states.
+        moved : array (...) of bool
+            Whether any state was outside.
+        """
         return within(np.asarray(x), *self.state_limits)
 
     def in_units(self, units: Mapping[str, tuple[str, float]]) -> Plant:
-        """Return the same plant with some sensors read in another unit: {sensor: (unit, readings per present unit)}."""
+        """Return the same plant with some sensors read in another unit.
+
+        Parameters
+        ----------
+        units : mapping of str to (str, float)
+            {sensor: (unit, readings per present unit)}.
+
+        Returns
+        -------
+        Plant
+            With the noise of these sensors in the new unit.
+        """
         return _in_units(self, units)
 
 

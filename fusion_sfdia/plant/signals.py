@@ -14,13 +14,43 @@ from fusion_sfdia.plant.slow_noise import SlowNoise
 class Signal:
     """A physical variable: its name, unit, nominal value and the limits between which the model holds.
 
-    Of a state, in its unit: initial_sigma, the standard deviation of its initial value about the nominal value, and
-    process_sigma, that of the process noise over one nominal time step of the plant. None where the plant states its
-    covariances itself. period: of a cyclic variable, in its unit, such as 360 for an angle in degrees: values that differ by
-    it are the same, so that residuals of the sensors that measure the variable are wrapped into [-period/2, period/2), and
-    limits that are a period or more apart do not apply. meaning: the quantity in words, check: what to do where it is found
-    different, both for the sentences of a diagnosis, as of `Sensor`. Raises ValueError for a nominal value outside the limits,
-    a negative or infinite sigma, and a period that is not positive and finite.
+    Parameters
+    ----------
+    name : str
+        Of the variable.
+    unit : str, default "1"
+        In which all its numbers are.
+    nominal : float, default 0
+        Its usual value.
+    low : float, default -inf
+        Value below which the model does not hold.
+    high : float, default inf
+        Value above which the model does not hold.
+    initial_sigma : float, optional
+        Of a state: standard deviation of its initial value about the nominal value; None where the plant states its covariances
+        itself.
+    process_sigma : float, optional
+        Of a state: standard deviation of the process noise over one nominal time step of the plant; None as above.
+    period : float, optional
+        Of a cyclic variable, such as 360 for an angle in degrees: values that differ by it are the same, so that residuals of
+        the sensors that measure the variable are wrapped into [-period/2, period/2), and limits that are a period or more apart
+        do not apply.
+    meaning : str, default ""
+        The quantity in words, for the sentences of a diagnosis, as of `Sensor`.
+    check : str, default ""
+        What to do where it is found different, for the same sentences.
+
+    Raises
+    ------
+    ValueError
+        For a nominal value outside the limits, a negative or infinite sigma, and a period that is not positive and finite.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import Signal
+    >>> level = Signal("level", "m", nominal=1.0, low=0.0, high=2.0, initial_sigma=0.05, process_sigma=1e-3)
+    >>> level.unit, level.high
+    ('m', 2.0)
     """
 
     name: str
@@ -54,17 +84,50 @@ class Signal:
 class Sensor:
     """An instrument that reads one variable, with noise stated as a standard deviation, a bound, or both, in its unit.
 
-    A missing sigma is that of a uniform error within the bound (bound/sqrt 3); a missing bound is inf.
-    owner: the subsystem or area that reads the sensor. quantity: the kind of variable it measures ("pressure"), by which
-    results are grouped. scale: its reading over the variable in SI; `Plant.in_units` sets it. period: of cyclic readings, in
-    the sensor's unit; None for that of the variable that it measures, if that has one. resolution: the step of the readings,
-    whose rounding adds a uniform error to the noise; equal readings of a coarse sensor are then not taken as frozen. noise:
-    the part of the noise that is slow, None for white noise; sigma is of both parts together. `robust-glr` then needs as much
-    more evidence against the sensor, and simulated readings have it; filters take all noise as white. meaning: the quantity
-    in words ("mixed-air temperature"), check: what to do where the sensor is wrong ("Compare with a thermometer in the duct."),
-    both for the sentences of a diagnosis.
-    Raises ValueError for noise or a period that is not positive and finite, noise that is missing, a negative resolution, and a
-    scale of 0 or one that is not finite.
+    Parameters
+    ----------
+    name : str
+        Of the sensor.
+    measures : str
+        The name of the variable.
+    unit : str, default "1"
+        Of its readings.
+    sigma : float, optional
+        Standard deviation of the noise, of its white and its slow part together; a missing one is that of a uniform error
+        within the bound (bound/sqrt 3).
+    bound : float, optional
+        Largest |noise|; a missing one is inf.
+    owner : str, default ""
+        The subsystem or area that reads the sensor.
+    quantity : str, default ""
+        The kind of variable it measures ("pressure"), by which results are grouped.
+    scale : float, default 1
+        Its reading over the variable in SI; `Plant.in_units` sets it.
+    period : float, optional
+        Of cyclic readings, in the sensor's unit; None for that of the variable that it measures, if that has one.
+    resolution : float, default 0
+        The step of the readings, whose rounding adds a uniform error to the noise; equal readings of a coarse sensor are then
+        not taken as frozen.
+    noise : SlowNoise, optional
+        The part of the noise that is slow, None for white noise. `robust-glr` then needs as much more evidence against the
+        sensor, and simulated readings have it; filters take all noise as white.
+    meaning : str, default ""
+        The quantity in words ("mixed-air temperature"), for the sentences of a diagnosis.
+    check : str, default ""
+        What to do where the sensor is wrong ("Compare with a thermometer in the duct."), for the same sentences.
+
+    Raises
+    ------
+    ValueError
+        For noise or a period that is not positive and finite, noise that is missing, a negative resolution, and a scale of 0 or
+        one that is not finite.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import Sensor
+    >>> gauge = Sensor("gauge", "level", "m", sigma=0.01, resolution=0.05)
+    >>> round(gauge.noise_sigma, 4), gauge.noise_bound
+    (0.0176, inf)
     """
 
     name: str
@@ -105,7 +168,18 @@ class Sensor:
         return float(np.hypot(sigma, self.resolution / np.sqrt(12.0))) if self.resolution else sigma
 
     def own_sigma(self, noise_sigma: float) -> float:
-        """The sigma with which the reading, with its rounding, has that standard deviation; a hundredth of it at least."""
+        """The sigma with which the reading, with its rounding, has a stated standard deviation.
+
+        Parameters
+        ----------
+        noise_sigma : float
+            The standard deviation of the reading, in the sensor's unit.
+
+        Returns
+        -------
+        float
+            A hundredth of noise_sigma at least.
+        """
         if not self.resolution:
             return noise_sigma
         return float(np.sqrt(max(noise_sigma**2 - self.resolution**2 / 12.0, (0.01 * noise_sigma) ** 2)))

@@ -26,13 +26,43 @@ HOUR = 3600.0  # s
 class Parameter:
     """A number of the model that is not known exactly.
 
-    nominal: its value in the model. sd: standard deviation of its true value about it. rate: standard deviation of its change
-    within an hour (a random walk); 0 for a constant. All in its unit. treatment: "estimated"; "considered", not estimated, but
-    its uncertainty counts (Schmidt 1966); "frozen", taken as nominal until a hypothesis about it is accepted.
-    source: where the spread comes from. low, high: values beyond which the model does not hold. meaning, check: as of `Sensor`.
-    Raises ValueError for values
-    that are not finite, a spread that is not positive, a negative rate, an unknown treatment and limits that do not contain the
-    nominal value.
+    Parameters
+    ----------
+    name : str
+        Of the parameter.
+    unit : str, default "1"
+        In which all its numbers are.
+    nominal : float, default 0
+        Its value in the model.
+    sd : float, default 1
+        Standard deviation of its true value about the nominal one.
+    rate : float, default 0
+        Standard deviation of its change within an hour (a random walk); 0 for a constant.
+    treatment : str, default "estimated"
+        "estimated"; "considered", not estimated, but its uncertainty counts (Schmidt 1966); "frozen", taken as nominal until a
+        hypothesis about it is accepted.
+    source : str, default ""
+        Where the spread comes from.
+    low : float, default -inf
+        Value below which the model does not hold.
+    high : float, default inf
+        Value above which the model does not hold.
+    meaning : str, default ""
+        As of `Sensor`.
+    check : str, default ""
+        As of `Sensor`.
+
+    Raises
+    ------
+    ValueError
+        For values that are not finite, a spread that is not positive, a negative rate, an unknown treatment and limits that do
+        not contain the nominal value.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import Parameter
+    >>> Parameter("outlet", nominal=1.0, sd=0.05, source="tables of discharge coefficients").treatment
+    'estimated'
     """
 
     name: str
@@ -122,17 +152,49 @@ def _require_treatment(whose: str, treatment: str) -> None:
 class Uncertainty:
     """What the model does not know.
 
-    parameters: p of them. step, output: the model at other values, theta (..., p) in the parameters' units. step is needed with
-    parameters, see `secants`; output None where they do not act on the readings. At the nominal values both are the plant's.
-    step_jacobian(t_start, x, u, dt, theta), (..., n, n + m + p), and output_jacobian(t, x, u, theta), (..., N, n + m + p): the
-    derivatives with respect to x, u and theta, side by side; None for the complex step, or differences where that fails.
-    inputs: standard deviation of the constant error of an input, by its name, in its unit.
-    at_rest: whether x0 is a steady state under the usual input, which follows from the parameters and the inputs that act.
-    changes: standard deviation from which the size of a later change is judged, by the name of a parameter or `error_of` an
-    input, where it differs from that of the present value: a healthy log shows a value, not how far it may change.
-    disturbances: unknown signals. considered: names of states that a filter does not update, but whose uncertainty counts;
-    `augment` adds those of this treatment. rebuild: the plant at other values, rebuild(**{parameter: value}), of any number of
-    parameters; None where only step and output state them. Raises ValueError for what does not fit together.
+    Parameters
+    ----------
+    parameters : tuple of Parameter (p,), default ()
+        Numbers of the model that are not known exactly.
+    step : callable, optional
+        step(t_start, x, u, dt, theta (..., p)): that of the plant at other values of the parameters, in their units; needed
+        with parameters, see `secants`. At the nominal values it is the plant's.
+    output : callable, optional
+        output(t, x, u, theta), likewise; None where the parameters do not act on the readings.
+    step_jacobian : callable, optional
+        step_jacobian(t_start, x, u, dt, theta) -> (..., n, n + m + p): the derivatives with respect to x, u and theta, side by
+        side; None for the complex step, or differences where that fails.
+    output_jacobian : callable, optional
+        output_jacobian(t, x, u, theta) -> (..., N, n + m + p), likewise.
+    inputs : mapping of str to float
+        Standard deviation of the constant error of an input, by its name, in its unit.
+    disturbances : tuple of Disturbance, default ()
+        Unknown signals.
+    considered : tuple of str, default ()
+        Names of states that a filter does not update, but whose uncertainty counts; `augment` adds those of this treatment.
+    changes : mapping of str to float
+        Standard deviation from which the size of a later change is judged, by the name of a parameter or `error_of` an input,
+        where it differs from that of the present value: a healthy log shows a value, not how far it may change.
+    at_rest : bool, default False
+        Whether x0 is a steady state under the usual input, which follows from the parameters and the inputs that act.
+    rebuild : callable, optional
+        The plant at other values, rebuild(**{parameter: value}), of any number of parameters; None where only step and output
+        state them.
+
+    Raises
+    ------
+    ValueError
+        For what does not fit together.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> from fusion_sfdia import Uncertainty
+    >>> from fusion_sfdia.plants import augment, two_tanks
+    >>> plant = two_tanks()
+    >>> leaking = replace(plant, uncertainty=Uncertainty(inputs={plant.inputs[0].name: 1e-5}))
+    >>> [state.name for state in augment(leaking).states]
+    ['level_1', 'level_2', 'error of inflow']
     """
 
     parameters: tuple[Parameter, ...] = ()

@@ -257,10 +257,43 @@ def audit(
 ) -> AuditResult:
     """Run all cases that a plant can have, and judge what the detector says.
 
-    detector: with its plant, or what makes it, in each process. seeds: of the trials of each case. steps: rows of a trial, at
-    least `FEWEST`. groups: of cases. more: further cases, such as `stated_cases`. workers: processes. each: wraps the cases as
-    they are done, with their number, to show progress. name: of the detector in the result. ValueError for settings that do
-    not fit.
+    Parameters
+    ----------
+    detector : Detector or callable
+        With its plant, or what makes it, in each process.
+    seeds : sequence of int, default range(8)
+        Of the trials of each case.
+    steps : int, default 300
+        Rows of a trial, at least `FEWEST`.
+    groups : sequence of str, default all
+        Of cases.
+    more : sequence of Case, default ()
+        Further cases, such as `stated_cases`.
+    workers : int, default 1
+        Processes.
+    each : callable, optional
+        Wraps the cases as they are done, with their number, to show progress.
+    name : str, default ""
+        Of the detector in the result.
+
+    Returns
+    -------
+    AuditResult
+        str(...) of it is a table.
+
+    Raises
+    ------
+    ValueError
+        For settings that do not fit.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import audit
+    >>> from fusion_sfdia.detectors import CentralFilter
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> result = audit(CentralFilter(two_tanks()), seeds=[0], steps=90, groups=["cause"])
+    >>> sorted({case.case.group for case in result.results})
+    ['cause']
     """
     if steps < FEWEST or not seeds:
         raise ValueError(f"{steps} steps and {len(seeds)} seeds; expected at least {FEWEST} rows a trial and one seed")

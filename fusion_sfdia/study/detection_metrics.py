@@ -81,10 +81,38 @@ def judged_right(alarm: Array, isolated: Array, active: Array, where: Array | No
 
 
 def roc(scores: Array, active: Array, where: Array | None = None) -> RocCurve:
-    """Receiver operating characteristic by samples; scores (K, B), or (K, B, N) to judge each sensor separately.
+    """Receiver operating characteristic by samples.
 
-    It is that of the method only where nothing was accommodated during the run: a threshold changes what follows. Empty
-    where there are no faulty or no healthy samples.
+    It is that of the method only where nothing was accommodated during the run: a threshold changes what follows.
+
+    Parameters
+    ----------
+    scores : array (K, B) or (K, B, N)
+        Largest |residual| / threshold of each sample; with sensors, to judge each of them separately.
+    active : array (K, B, N) of bool
+        Whether each sensor is faulty.
+    where : array (K, B) of bool, optional
+        The samples that count; None for all.
+
+    Returns
+    -------
+    RocCurve
+        Empty where there are no faulty or no healthy samples.
+
+    Raises
+    ------
+    ValueError
+        For shapes that do not fit, and for a score of NaN that counts: give a sample that was not evaluated the score 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion_sfdia import roc
+    >>> scores = np.array([[0.2], [0.4], [1.5], [0.9]])  # (K, B) of one run
+    >>> active = np.array([[[False]], [[False]], [[True]], [[True]]])  # (K, B, N) of one sensor
+    >>> curve = roc(scores, active)
+    >>> curve.false_alarm_probability, curve.detection_probability
+    (array([0., 0., 0., 1.]), array([0. , 0.5, 1. , 1. ]))
     """
     score, truth, _ = _labelled(scores, active, where)
     if not score.size or truth.all() or not truth.any():

@@ -41,10 +41,37 @@ def exact_isolation(isolated: Array, active: Array, where: Array | None = None) 
 def confusion(isolated: Array, active: Array, where: Array | None = None) -> Array:
     """Confusion matrix (N + 1, N + 1), rows the truth, columns what is isolated, index 0 none (Shaheen 2024, Fig. 6).
 
+    Parameters
+    ----------
+    isolated : array (K, B, N) of bool
+        Whether each sensor is isolated.
+    active : array (K, B, N) of bool
+        Whether each sensor is faulty.
+    where : array (K, B) of bool, optional
+        The samples that count; None for all.
+
+    Returns
+    -------
+    array (N + 1, N + 1)
+        Numbers of samples.
+
+    Notes
+    -----
     Each sample is one entry in the row of every faulty sensor, or in row 0 where none is. It falls in its own column
     where the sensor is isolated; else evenly in the columns of the healthy sensors that are isolated, or in column 0
     where none is. A row adds up to its number of samples; only isolation_precision shows a healthy sensor that is isolated
     in addition to the faulty one.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion_sfdia import confusion
+    >>> active = np.array([[[False, False]], [[True, False]], [[True, False]]])  # (K, B, N): one run, two sensors
+    >>> isolated = np.array([[[False, False]], [[True, False]], [[False, True]]])
+    >>> confusion(isolated, active)
+    array([[1., 0., 0.],
+           [0., 1., 1.],
+           [0., 0., 0.]])
     """
     counted = _counted(isolated, active, where)
     found, faulty = isolated[counted], active[counted]

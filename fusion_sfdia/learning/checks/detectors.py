@@ -49,10 +49,28 @@ FLAGS = {"isolated", "diverged", "guarded", "capped", "absurd", "absurd_input", 
 
 
 def check_detector(detector: Any, plant: Any = "two-tanks") -> None:
-    """Run DETECTOR_CHECKS on a detector, given as in `registry.find_detector`, and a plant; `compare` relies on them.
+    """Run DETECTOR_CHECKS on a detector and a plant; `compare` relies on them.
 
-    AssertionError or ValueError with the reason, NotApplicableError for a plant that lacks what the method needs. How often it
-    alarms and what it isolates is not checked: `compare` measures that.
+    How often it alarms and what it isolates is not checked: `compare` measures that.
+
+    Parameters
+    ----------
+    detector : str, class or callable
+        As in `registry.find_detector`.
+    plant : Plant or str, default "two-tanks"
+        As in `registry.find_plant`.
+
+    Raises
+    ------
+    AssertionError, ValueError
+        With the reason.
+    NotApplicableError
+        For a plant that lacks what the method needs.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import check_detector
+    >>> check_detector("kf-chi2")  # silent where the contract is kept
     """
     of = registry.plant(plant)
     built = registry.detector(detector, of)

@@ -35,8 +35,24 @@ STEPS = 20
 
 
 def check_plant(plant: Any) -> None:
-    """Run PLANT_CHECKS on a plant, given as in `registry.find_plant`. Raises AssertionError or ValueError with the reason and
-    the cure. They ask whether the functions keep the contract; `inspect` states what can be diagnosed with them.
+    """Run PLANT_CHECKS on a plant: whether its functions keep the contract.
+
+    `inspect` states what can be diagnosed with them.
+
+    Parameters
+    ----------
+    plant : Plant, str or callable
+        As in `registry.find_plant`.
+
+    Raises
+    ------
+    AssertionError, ValueError
+        With the reason and the cure.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import check_plant
+    >>> check_plant("two-tanks")  # silent where the contract is kept
     """
     found = registry.plant(plant)
     for check in PLANT_CHECKS:

@@ -42,15 +42,46 @@ def inspect(
     tuned: registry.NamedDetector | None = None,
     each: Callable[[Sequence[Any]], Iterable[Any]] = iter,
 ) -> Inspection:
-    """Examine a plant, given as in `registry.find_plant`: mistakes in its model, its step, observability and redundancy, and
-    which sensor faults are found by which detector, from what size and after how long, by theory and in simulated runs.
+    """Examine a plant: mistakes in its model, its step, observability and redundancy, and which sensor faults are found by
+    which detector, from what size and after how long, by theory and in simulated runs.
 
-    healthy: readings of the real plant in order, as `as_log` takes them. detectors: of the simulated runs, by default one of
-    each school; sensors: those with a fault. Up to 16 sensors all are tried, up to 80 four with the fast detectors, of more
-    none, unless they are named. simulated: False leaves the runs out. tuned: a detector with thresholds for the real plant,
-    which is tried first, in place of the one that is registered by its name, and judged on `healthy`. each: wraps
-    the detectors of the runs, to show progress. With mistakes nothing
-    further is examined: results would be those of another plant. ValueError for unknown names, and for data that do not fit.
+    With mistakes nothing further is examined: results would be those of another plant.
+
+    Parameters
+    ----------
+    plant : Plant, str or callable
+        As in `registry.find_plant`.
+    healthy : Log, Recording, frame or tuple, optional
+        Readings of the real plant in order, as `as_log` takes them.
+    detectors : sequence, optional
+        Those of the simulated runs, by default one of each school.
+    sensors : sequence of str, optional
+        Those with a fault. Up to 16 sensors all are tried, up to 80 four with the fast detectors, of more none, unless they are
+        named.
+    simulated : bool, default True
+        False leaves the runs out.
+    tuned : NamedDetector, optional
+        A detector with thresholds for the real plant, which is tried first, in place of the one that is registered by its name,
+        and judged on `healthy`.
+    each : callable, default iter
+        Wraps the detectors of the runs, to show progress.
+
+    Returns
+    -------
+    Inspection
+        str(...) of it is the report.
+
+    Raises
+    ------
+    ValueError
+        For unknown names, and for data that do not fit.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import inspect
+    >>> found = inspect("two-tanks", simulated=False)
+    >>> found.mistakes, found.kept_out
+    ((), ())
     """
     found = registry.plant(plant)
     chosen = _sensors(found) if sensors is None else tuple(sensors)

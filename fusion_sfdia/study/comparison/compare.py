@@ -176,24 +176,61 @@ def compare(
 ) -> ComparisonResult:
     """Compare detectors on plants under one protocol, at one rate of false alarms.
 
-    plants: names, references "file.py:attribute" or "module:attribute", Plants, or functions without arguments that return
-    one; None for all that are registered. A Plant, and that of a function, is compared under its own name; one that equals
-    the registered plant of its name has the cases of that one. detectors: names, references, or classes and functions that
-    take a Plant and return a Detector; None for all. A detector is a frozen dataclass with a field threshold_scale, a factor
-    of all its thresholds.
-    faults: kinds of sensor faults, see `protocol.KINDS`. seeds: runs of each condition. full: the size of the whole comparison,
-    hours. cases: by a plant's name its mismatch cases and process faults, in place of those with which it is registered; one
-    without any is compared without. workers: processes, None for one a core; objects are pickled to send them there. scheduler:
-    address of a dask cluster instead. out: folder of the results, which takes up an interrupted comparison; None to keep none.
-    force: write into a folder that is in use. settings: those of `protocol.SETTINGS`.
+    The numbers are the same bits as those of the command `fusion-sfdia compare` with the same names. A piece of work that fails
+    is in `failures`, and a detector that is not applicable to a plant is left out there.
 
+    Parameters
+    ----------
+    plants : str, Plant, callable or iterable of them, optional
+        Names, references "file.py:attribute" or "module:attribute", Plants, or functions without arguments that return one;
+        None for all that are registered. A Plant, and that of a function, is compared under its own name; one that equals the
+        registered plant of its name has the cases of that one.
+    detectors : str, class, callable or iterable of them, optional
+        Names, references, or classes and functions that take a Plant and return a Detector; None for all. A detector is a
+        frozen dataclass with a field threshold_scale, a factor of all its thresholds.
+    faults : str or iterable of str, optional
+        Kinds of sensor faults, see `protocol.KINDS`.
+    seeds : int, optional
+        Runs of each condition.
+    full : bool, default False
+        The size of the whole comparison, hours.
+    cases : mapping of str to ComparisonCases, optional
+        By a plant's name its mismatch cases and process faults, in place of those with which it is registered; one without any
+        is compared without.
+    workers : int, optional
+        Processes, None for one a core; objects are pickled to send them there.
+    scheduler : str, optional
+        Address of a dask cluster instead.
+    out : str or Path, optional
+        Folder of the results, which takes up an interrupted comparison; None to keep none.
+    force : bool, default False
+        Write into a folder that is in use.
+    **settings
+        Those of `protocol.SETTINGS`.
+
+    Returns
+    -------
+    ComparisonResult
+        Its rows, findings and failures.
+
+    Raises
+    ------
+    ValueError
+        For what does not fit, also for two of one name.
+
+    Notes
+    -----
     An interrupted comparison is taken up only for what is unchanged: the sources of a plant and detector, and the values that
     the built plant holds, also those read from a file. What a module reads on import and its functions use as global variables,
     and files that a detector reads, are not seen: name another folder after a change of those.
 
-    The numbers are the same bits as those of the command `fusion-sfdia compare` with the same names. ValueError for what does
-    not fit, also for two of one name. A piece of work that fails is in `failures`, and a detector that is not applicable to a
-    plant is left out there.
+    Examples
+    --------
+    >>> from fusion_sfdia import compare
+    >>> result = compare("two-tanks", ["limits", "kf-chi2"], faults="bias", seeds=2, workers=1, magnitudes=(30.0,), window=10,
+    ...                  mismatch_cases=False, process_faults=False, calibration_error=0.5)
+    >>> sorted({row.detector for row in result.rows}), result.failures
+    (['kf-chi2', 'limits'], [])
     """
     if seeds is not None:
         seeds = whole("seeds", seeds, 1)
