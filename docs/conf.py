@@ -37,7 +37,7 @@ os.environ["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"
 project = "fusion-sfdia"
 author = "fusion-sfdia authors"
 version = release = fusion_sfdia.__version__
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.viewcode", "sphinx_design"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "sphinx_design"]
 exclude_patterns = ["_build", "README.md", "results/README.md", "examples", "paper", "**.ipynb_checkpoints"]
 suppress_warnings = ["myst.header"]  # a generated page goes from its title to the third level
 
@@ -62,6 +62,9 @@ autodoc_default_options = {"members": True}
 autodoc_preserve_defaults = True
 maximum_signature_line_length = 90
 python_use_unqualified_type_names = True
+napoleon_google_docstring = False
+napoleon_use_param = napoleon_use_rtype = False  # types are words: (K, N) is no class to link to
+napoleon_custom_sections = [("Attributes", "params_style")]  # of settings and results, beside their signature
 toc_object_entries_show_parents = "hide"
 
 html_theme = "pydata_sphinx_theme"
@@ -87,6 +90,7 @@ nitpick_ignore_regex = [
     (r"py:class", r"(numpy|filterpy|collections|pathlib|datetime)\..*"),  # other projects have inventories only on the network
     (r"py:class", r"fusion_sfdia\.\w+\..*"),  # types of fields that the text of their class describes
     (r"py:class", r"\w+"),  # the same, and aliases, in annotations that Python does not evaluate
+    (r"py:exc", r"\w+"),  # in sections Raises, whose names have no module
 ]
 linkcheck_allowed_redirects = {rf"https://{re.escape(host)}.*": r"https://.*" for host in HOSTS}
 linkcheck_timeout = 30  # s
@@ -96,6 +100,7 @@ OUTSIDE = re.compile(r"\[([^\]\n]+)\]\(((?:\.\./)+[^)#\s]*)(#[^)\s]*)?\)")
 NOTEBOOK = re.compile(r"\[([^\]]+)\]\((\w+)\.ipynb\)")
 CODE = re.compile(r"(`[^`]*`)")
 NDARRAY = re.compile(r"~?numpy\.ndarray\[tuple\[~?typing\.Any, \.\.\.\], ~?numpy\.dtype\[~?typing\.Any\]\]")
+LISTS = ("Parameters", "Attributes", "Returns", "Yields", "Raises", "Warns")
 MARKUP = re.compile(r"([*|]|(?<=\w)_(?!\w))")
 
 
@@ -116,16 +121,24 @@ def links_outside(app: Sphinx, page: str, source: list[str]) -> None:
 
 
 def as_restructured_text(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
-    """Docstrings are plain text: an indented block after a colon is shown as it is, stars and bars are no markup, and the
-    names of parameters before a colon are code.
+    """Docstrings are plain text with sections: an indented block after a colon is shown as it is, stars and bars are no markup,
+    and the names of parameters before a colon are code. Runs before napoleon makes lists of the sections.
     """
     try:
         names = "|".join(map(re.escape, signature(obj).parameters))
     except (TypeError, ValueError):
         names = ""
     described = re.compile(rf"(?<![\w`.])((?:{names})(?:, (?:{names}))*):(?=\s|$)") if names else None
+    if what == "property" and lines:
+        lines[0] = f": {lines[0]}"  # what stands before the first colon is its type for napoleon: here there is none
+    section = ""
     for k, line in enumerate(lines):
-        indented = line.startswith("    ")
+        if k + 1 < len(lines) and re.fullmatch("-{3,}", lines[k + 1]):
+            section = line
+        in_list = section in LISTS
+        if section == "Examples" or (in_list and not line.startswith(" ")):
+            continue  # code, or a name and its type
+        indented = line.startswith("        " if in_list else "    ")
         if not indented:
             parts = CODE.split(line)
             line = "".join(p if p.startswith("`") else MARKUP.sub(r"\\\1", p) for p in parts)
@@ -170,7 +183,7 @@ def setup(app: Sphinx) -> None:
     """Connect the functions above to the events of a build."""
     app.connect("builder-inited", thumbnails)
     app.connect("source-read", links_outside)
-    app.connect("autodoc-process-docstring", as_restructured_text)
+    app.connect("autodoc-process-docstring", as_restructured_text, priority=400)
     app.connect("autodoc-process-signature", readable)
     app.connect("autodoc-skip-member", skipped)
     app.connect("build-finished", check_links)

@@ -1,0 +1,95 @@
+"""Docstrings of public names: every parameter and result is described, in sections as numpydoc has them, and examples run."""
+
+from __future__ import annotations
+
+import doctest
+import re
+from collections.abc import Iterator
+from enum import Enum
+from inspect import Signature, cleandoc, isclass, isfunction, signature
+from typing import Any
+
+import pytest
+
+import fusion_sfdia
+from fusion_sfdia.detectors import registry
+
+GROUPS = [getattr(fusion_sfdia, group) for group in fusion_sfdia._GROUPS]
+NAMES = [(fusion_sfdia, name) for name in fusion_sfdia.__all__ if name not in ("__version__", *fusion_sfdia._GROUPS)]
+NAMES += [(group, name) for group in GROUPS for name in group.__all__]
+PUBLIC = {f"{module.__name__}.{name}": getattr(module, name) for module, name in NAMES}
+LONG = {"compare", "inspect", "tune"}  # examples of more than two seconds
+HEADING = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
+DESCRIBED = re.compile(r"^(\*{0,2}\w+(?:, \*{0,2}\w+)*)(?: : .+)?$", re.MULTILINE)
+
+
+def sections(thing: Any) -> dict[str, str]:
+    """The sections of a docstring by their titles."""
+    parts = HEADING.split(cleandoc(thing.__doc__ or ""))
+    return dict(zip(parts[1::2], parts[2::2], strict=True))
+
+
+def described(thing: Any) -> set[str]:
+    """The names of parameters and attributes that a docstring describes."""
+    stated = sections(thing)
+    lists = "\n".join(stated.get(title, "") for title in ("Parameters", "Attributes"))
+    return {name.strip("*") for names in DESCRIBED.findall(lists) for name in names.split(", ")}
+
+
+def missing(thing: Any, name: str, by: set[str]) -> list[str]:
+    """What the docstring of a callable leaves out, where `by` is what it describes."""
+    found = signature(thing)
+    lacks = [f"{name}: {p} is not described" for p in found.parameters if p not in ("self", "cls") and p not in by]
+    if (
+        isfunction(thing)
+        and found.return_annotation not in (None, "None", Signature.empty)
+        and not {
+            "Returns",
+            "Yields",
+        }
+        & {*sections(thing)}
+    ):
+        lacks.append(f"{name}: no section Returns or Yields")
+    return lacks
+
+
+def methods(thing: Any) -> Iterator[tuple[str, Any]]:
+    """The public methods of a class that have a docstring; the name and the class of others say it all."""
+    for name, held in vars(thing).items():
+        method = held.__func__ if isinstance(held, classmethod | staticmethod) else held
+        if (
+            isfunction(method)
+            and not name.startswith("_")
+            and method.__doc__
+            and not getattr(method, "__isabstractmethod__", False)
+        ):
+            yield name, method
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_every_parameter_and_result_of_a_public_name_is_described(name: str) -> None:
+    thing = PUBLIC[name]
+    if isfunction(thing):
+        assert not missing(thing, name, described(thing))
+        return
+    assert isclass(thing)
+    lacks = [one for method, held in methods(thing) for one in missing(held, f"{name}.{method}", described(held))]
+    if not issubclass(thing, BaseException | Enum):
+        lacks += missing(thing, name, set().union(*(described(base) for base in thing.__mro__)))
+    assert not lacks
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.long) if n.rpartition(".")[2] in LONG else n for n in PUBLIC]
+)
+def test_the_examples_of_a_public_name_run(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for table in ("_PLANTS", "_DETECTORS"):  # an example may register something
+        monkeypatch.setattr(registry, table, dict(getattr(registry, table)))
+    thing = PUBLIC[name]
+    text = sections(thing).get("Examples", "")
+    assert ">>> " in text or re.match(r"\s*See `\w+`", text), "no example"
+    found = doctest.DocTestFinder().find(thing, name, module=False, globs={})  # type: ignore[arg-type]
+    failures: list[str] = []
+    for test in found:
+        doctest.DocTestRunner().run(test, out=failures.append)
+    assert not failures, "".join(failures)
