@@ -30,7 +30,27 @@ HELD = 30  # samples in a row in which all readings are far from the model and a
 
 
 class TimeStep(NamedTuple):
-    """A step from t_start to t, the time of its readings, dt seconds long: the k-th since `init` with that seed."""
+    """A step from t_start to t, the time of its readings, dt seconds long: the k-th since `init` with that seed.
+
+    Attributes
+    ----------
+    t_start : float
+        Time at which the step begins, in s.
+    t : float
+        Time of the readings in s.
+    dt : float
+        Length of the step in s.
+    seed : int
+        Of the randomness of the method.
+    k : int
+        Number of the step since `init`.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.detectors import TimeStep
+    >>> TimeStep(t_start=55.0, t=60.0, dt=5.0, seed=0, k=12).dt
+    5.0
+    """
 
     t_start: float
     t: float
@@ -49,9 +69,27 @@ class BatchDetector(Claims, ABC):
     """A detector whose state is a `State`: a subclass defines its memory, how it starts, and how it judges readings.
 
     The memory is a NamedTuple of arrays with the batch as leading axes, or of such tuples, see `detectors.state`.
-    threshold_scale: factor on all thresholds, for the comparison of detectors at one false-alarm rate. fitted_rate: the rate
-    per step over all sensors for which that factor was fitted to healthy readings, None where it was not: `false_alarm`, where
-    a detector has it, is what its thresholds have at a factor of 1 on the model itself.
+
+    Parameters
+    ----------
+    plant : Plant
+        The model.
+    threshold_scale : float, default 1
+        Factor on all thresholds, for the comparison of detectors at one false-alarm rate.
+    fitted_rate : float, optional
+        The rate per step over all sensors for which that factor was fitted to healthy readings, None where it was not:
+        `false_alarm`, where a detector has it, is what its thresholds have at a factor of 1 on the model itself.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import simulate
+    >>> from fusion_sfdia.detectors import BatchDetector, CentralFilter
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> detector: BatchDetector = CentralFilter(plant)
+    >>> fitted = detector.fit_thresholds(simulate(plant, 200, seeds=[0, 1]), false_alarm=0.05)
+    >>> detector.fitted_rate, fitted.fitted_rate
+    (None, 0.05)
     """
 
     estimates: ClassVar[bool] = True  # a state, which readings that are far off would spoil
@@ -85,17 +123,54 @@ class BatchDetector(Claims, ABC):
     def fit(cls, plant: Plant, healthy: Any, false_alarm: float = 1e-3, **settings: Any) -> Self:
         """The detector fitted to healthy readings, at a false-alarm rate per step over all sensors.
 
-        healthy: a Recording, a Log, a pandas frame or (t, y, u), see `as_log`. settings: of the detector, by name. By default
-        only the thresholds are fitted, see `fit_thresholds`. ValueError where the readings are too few for the rate.
+        Parameters
+        ----------
+        plant : Plant
+            The model.
+        healthy : Recording, Log, frame or tuple
+            A Recording, a Log, a pandas frame or (t, y, u), see `as_log`.
+        false_alarm : float, default 1e-3
+            The rate. By default only the thresholds are fitted to it, see `fit_thresholds`.
+        **settings
+            Of the detector, by name.
+
+        Returns
+        -------
+        Self
+            The fitted detector.
+
+        Raises
+        ------
+        ValueError
+            Where the readings are too few for the rate.
         """
         return cls(plant, **settings).fit_thresholds(healthy, false_alarm)
 
     def fit_thresholds(self, healthy: Any, false_alarm: float = 1e-3, warm_up: int = 20) -> Self:
         """The detector with the threshold_scale at which healthy readings alarm at a given rate per step over all sensors.
 
-        healthy: as in `fit`. The scale is an order statistic of the scores after the first `warm_up` samples of each run,
-        while nothing is isolated; runs in which the estimate diverges are left out. ValueError where they are too few for the
-        rate (less than one sample expected above the thresholds), and where no scale of the thresholds has that rate.
+        The scale is an order statistic of the scores after the first `warm_up` samples of each run, while nothing is isolated;
+        runs in which the estimate diverges are left out.
+
+        Parameters
+        ----------
+        healthy : Recording, Log, frame or tuple
+            As in `fit`.
+        false_alarm : float, default 1e-3
+            The rate.
+        warm_up : int, default 20
+            Samples that are left out at the beginning of each run.
+
+        Returns
+        -------
+        Self
+            The fitted detector.
+
+        Raises
+        ------
+        ValueError
+            Where they are too few for the rate (less than one sample expected above the thresholds), and where no scale of the
+            thresholds has that rate.
         """
         log = self._healthy(healthy, false_alarm, warm_up)
         state, scores = silent_scores(silent(replace(self, threshold_scale=1.0)), *log)
@@ -119,7 +194,18 @@ class BatchDetector(Claims, ABC):
         return as_log(self.plant, healthy)
 
     def with_sensors_of(self, plant: Plant) -> Self:
-        """The detector on the same plant with other noise, resolutions or periods of its sensors."""
+        """The detector on the same plant with other noise, resolutions or periods of its sensors.
+
+        Parameters
+        ----------
+        plant : Plant
+            Which has those sensors.
+
+        Returns
+        -------
+        Self
+            With that plant.
+        """
         return replace(self, plant=plant)
 
     @property
@@ -132,8 +218,26 @@ class BatchDetector(Claims, ABC):
         return len(self.plant.sensors)
 
     def init(self, batch: int | tuple[int, ...] = (), t: float = 0.0, seed: int = 0) -> State:
-        """State at time t of a batch of that shape (a number: that many runs); ValueError for anything else, and unless
-        t is finite and seed an integer from 0 to 2^64 - 1.
+        """State at time t of a batch of runs.
+
+        Parameters
+        ----------
+        batch : int or tuple of int, default ()
+            Shape of the batch; a number: that many runs.
+        t : float, default 0
+            Time in s at which the first step begins.
+        seed : int, default 0
+            Of the randomness of the method, from 0 to 2^64 - 1.
+
+        Returns
+        -------
+        State
+            Before the first reading.
+
+        Raises
+        ------
+        ValueError
+            For any other shape, and unless t is finite and seed an integer within its limits.
         """
         shape, t, seed = batch_shape(batch), number("t", t), whole("seed", seed, least=0)
         if not np.isfinite(t) or seed >= 2**64:
@@ -144,13 +248,34 @@ class BatchDetector(Claims, ABC):
         )
 
     def step(self, state: State, t: float, y: Array, u: Array) -> tuple[State, Decision]:
-        """Diagnose the readings y (*batch, N) taken at t (s), NaN where missing, under the input u (*batch, m) that acted from
-        state.t to t, or (m,) for all runs.
+        """Diagnose readings under the input that acted until then.
 
         Absurd readings count as missing, absurd inputs are replaced (see `border`); the Decision reports both. Samples in which
         all readings are far from a model that they were near to before (`far_off`) are not taken, up to `HELD` in a row: their
-        Decision has residuals and thresholds, and isolates nothing more. ValueError for a
-        state of another detector, values or shapes that do not fit, and a time for which the model does not hold.
+        Decision has residuals and thresholds, and isolates nothing more.
+
+        Parameters
+        ----------
+        state : State
+            After the last reading, or of `init`.
+        t : float
+            Time of the readings in s.
+        y : array (*batch, N)
+            Readings in the units of the sensors, NaN where missing.
+        u : array (*batch, m) or (m,)
+            Input that acted from state.t to t; the latter for all runs.
+
+        Returns
+        -------
+        state : State
+            After these readings.
+        decision : Decision
+            What the detector states of them.
+
+        Raises
+        ------
+        ValueError
+            For a state of another detector, values or shapes that do not fit, and a time for which the model does not hold.
         """
         batch = self._batch_of(state)
         single = batch == ()
@@ -199,13 +324,29 @@ class BatchDetector(Claims, ABC):
         return np.asarray(np.all(far | np.isnan(y), axis=-1) & (np.sum(far, axis=-1) > 1))
 
     def readmit(self, state: State, sensors: str | Iterable[str]) -> State:
-        """The state in which sensors, by name, are used again in all runs: after their repair, or where an isolation was wrong.
+        """The state in which sensors are used again in all runs: after their repair, or where an isolation was wrong.
 
         A sensor that alone sees a lasting mode of the plant may never be used again on its own, since the estimate without it
         keeps its error (`inspect` lists them): a bank then also widens the covariance of its estimate by what the
         readings differed from it, so that it follows the repaired sensor. Nor is any of a detector whose alarms latch.
-        Detectors that judge each reading anew keep none out; they return the state as it is. ValueError for a state of
-        another detector and an unknown sensor.
+        Detectors that judge each reading anew keep none out; they return the state as it is.
+
+        Parameters
+        ----------
+        state : State
+            After the last reading.
+        sensors : str or iterable of str
+            Their names.
+
+        Returns
+        -------
+        State
+            From which the run goes on.
+
+        Raises
+        ------
+        ValueError
+            For a state of another detector and an unknown sensor.
         """
         self._batch_of(state)
         named = [sensors] if isinstance(sensors, str) else list(sensors)

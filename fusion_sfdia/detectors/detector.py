@@ -23,9 +23,24 @@ Array = NDArray[Any]
 class ProcessHypothesis(NamedTuple):
     """Something of the plant that may differ from the model.
 
-    kind: "parameter", "input" (a constant error of it), "state" (its equation errs), "disturbance", "unnamed" (something
-    else of the process, or several causes) or "outside" (operation as in no healthy log). nominal: the value of the model, in
-    the unit; NaN where there is none.
+    Attributes
+    ----------
+    name : str
+        Of the parameter, input, state or disturbance.
+    unit : str
+        Of its size.
+    kind : str
+        "parameter", "input" (a constant error of it), "state" (its equation errs), "disturbance", "unnamed" (something else of
+        the process, or several causes) or "outside" (operation as in no healthy log).
+    nominal : float
+        The value of the model, in the unit; NaN where there is none.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.detectors import RobustBank
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> RobustBank(two_tanks()).process_hypotheses[0]
+    ProcessHypothesis(name='outlet_1', unit='m2.5/s', kind='parameter', nominal=0.0006)
     """
 
     name: str
@@ -53,23 +68,58 @@ def require_no_cycles(plant: Plant, what: str) -> None:
 class Decision:
     """The result of one step; leading axes are the batch (and time, in a run).
 
-    estimate: state estimate (..., n). covariance: of the estimate (..., n, n), or None where the method has none.
-    reconstruction: the readings (..., N), with missing ones and, where the method accommodates, isolated ones replaced by the
-    values that the method expects.
-    residual, threshold: (..., N) in sensor units; a residual of NaN was not evaluated, a threshold of inf allows no decision
-    yet. isolated: (..., hypotheses) bool, the isolated hypotheses. fault_size: (..., hypotheses), NaN where not isolated.
-    nis: normalised innovation squared per reading used (...); 1 on average for a consistent filter, NaN where there is none.
-    diverged: (...) bool, the estimator has broken down or its model gave no finite value, now or in an earlier step: every
-    number of this Decision is NaN and nothing is isolated. guarded: (...) bool, the estimate, or one of its members or sigma
-    points, left the limits of the model and was moved back. capped: (...) bool, another sensor would be isolated, but as many
-    are left out already as the method allows. absurd: (..., N) bool, readings taken as missing, absurd_input: (..., m) bool,
-    inputs replaced (see `border`). The last three may be a single False, where a method has no such limits.
+    Attributes
+    ----------
+    estimate : array (..., n)
+        State estimate.
+    reconstruction : array (..., N)
+        The readings, with missing ones and, where the method accommodates, isolated ones replaced by the values that the method
+        expects.
+    residual : array (..., N)
+        In sensor units; NaN was not evaluated.
+    threshold : array (..., N)
+        In sensor units; inf allows no decision yet.
+    isolated : array (..., hypotheses) of bool
+        The isolated hypotheses.
+    fault_size : array (..., hypotheses)
+        NaN where not isolated.
+    diverged : array (...) of bool
+        The estimator has broken down or its model gave no finite value, now or in an earlier step: every number of this
+        Decision is NaN and nothing is isolated.
+    guarded : array (...) of bool
+        The estimate, or one of its members or sigma points, left the limits of the model and was moved back.
+    nis : array (...)
+        Normalised innovation squared per reading used; 1 on average for a consistent filter, NaN where there is none.
+    covariance : array (..., n, n) or None
+        Of the estimate; None where the method has none.
+    capped : array (...) of bool
+        Another sensor would be isolated, but as many are left out already as the method allows; may be a single False, where a
+        method has no such limit.
+    absurd : array (..., N) of bool
+        Readings taken as missing (see `border`); may be a single False, likewise.
+    absurd_input : array (..., m) of bool
+        Inputs replaced (see `border`); may be a single False, likewise.
+    process : array (..., P) of bool or None
+        Of a detector that tests the process, too, else None, as the following ones: the accepted `process_hypotheses`.
+    process_size : array (..., P) or None
+        How far the process is above the model, in the unit of the hypothesis; NaN where not accepted.
+    process_sd : array (..., P) or None
+        Standard deviation of that, likewise.
+    suspect : array (..., hypotheses + P) of bool or None
+        The hypotheses that explain an alarm without a decision between them.
+    probability : array (..., hypotheses + P) or None
+        Of each hypothesis at present, what is missing to 1 is that of none; NaN where the method states none.
 
-    Of a detector that tests the process, too, else None: process (..., P) bool, the accepted `process_hypotheses`;
-    process_size, process_sd (..., P), how far the process is above the model and its standard deviation, in the unit of the
-    hypothesis, NaN where not accepted; suspect (..., hypotheses + P) bool, the hypotheses that explain an alarm without a
-    decision between them; probability (..., hypotheses + P), of each hypothesis at present, what is missing to 1 is that of
-    none, NaN where the method states none.
+    Examples
+    --------
+    >>> from fusion_sfdia import run, simulate
+    >>> from fusion_sfdia.detectors import CentralFilter
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> detector = CentralFilter(two_tanks(), false_alarm=1e-6)
+    >>> recording = simulate(detector.plant, 20, seeds=[1])
+    >>> state, decisions = run(detector, detector.init(1), recording)
+    >>> decisions.residual.shape, bool(decisions.alarm.any())
+    ((20, 1, 4), False)
     """
 
     estimate: Array
@@ -189,10 +239,27 @@ class Claims(Protocol):
 class Detector(Claims, Protocol):
     """A diagnosis method bound to a plant; a class of one inherits from `BatchDetector`, or from `Claims`.
 
-    hypotheses: what can be isolated, the plant's sensors first.
-    init(batch, t, seed): the `State` at time t (s) of a batch of that shape; seed fixes all randomness of the method.
-    step(state, t, y, u): y (..., N) read at t (s; NaN where missing), u (..., m) the input that acted from state.t to t.
     A step of a plant begins at its `t_start`; t, as in a state, is the time of readings.
+
+    Attributes
+    ----------
+    plant : Plant
+        The model.
+    hypotheses : tuple of str
+        What can be isolated, the plant's sensors first.
+
+    Notes
+    -----
+    init(batch, t, seed): the `State` at time t (s) of a batch of that shape; seed fixes all randomness of the method.
+    step(state, t, y, u): y (..., N) read at t (s; NaN where missing), u (..., m) the input that acted from state.t to t;
+    returns the next state and a `Decision`. What else a detector states of itself has defaults in `Claims`.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.detectors import CentralFilter, Detector
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> isinstance(CentralFilter(two_tanks()), Detector)
+    True
     """
 
     @property

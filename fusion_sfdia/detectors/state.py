@@ -20,10 +20,28 @@ Array = NDArray[Any]
 class State(NamedTuple):
     """A detector between two readings; take it from `init`, `step` or `load_state`.
 
-    seed: () of the randomness of the method. steps: () readings taken since `init`. t: () time of the last reading, or of
-    `init`, in s. diverged: (*batch) bool, runs in which the estimator has broken down. far: (*batch) int, samples in a row in
-    which all readings were far from the model, -1 before any was near. memory: what the method keeps, a NamedTuple of arrays
-    (*batch, ...) that the detector documents.
+    Attributes
+    ----------
+    seed : array ()
+        Of the randomness of the method.
+    steps : array ()
+        Readings taken since `init`.
+    t : array ()
+        Time of the last reading, or of `init`, in s.
+    diverged : array (*batch) of bool
+        Runs in which the estimator has broken down.
+    far : array (*batch) of int
+        Samples in a row in which all readings were far from the model, -1 before any was near.
+    memory : NamedTuple
+        What the method keeps: arrays (*batch, ...) that the detector documents.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.detectors import CentralFilter
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> state = CentralFilter(two_tanks()).init(batch=3, t=60.0)
+    >>> float(state.t), int(state.steps), state.diverged.shape
+    (60.0, 0, (3,))
     """
 
     seed: Array

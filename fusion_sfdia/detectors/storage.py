@@ -129,7 +129,34 @@ def whole_numbers(name: str, values: NDArray[Any]) -> Any:
 def save_state(path: str | Path, detector: Detector, state: State) -> None:
     """Write a detector's state to a .npz file, an array for each field by its name ("memory.exclusion.size"), without pickle.
 
-    On the same machine a run goes on from it with the same bits. ValueError for arrays of objects.
+    On the same machine a run goes on from it with the same bits.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file to write.
+    detector : Detector
+        That of the state.
+    state : State
+        To be written.
+
+    Raises
+    ------
+    ValueError
+        For arrays of objects.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from fusion_sfdia.detectors import CentralFilter, load_state, save_state
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> detector = CentralFilter(two_tanks())
+    >>> with TemporaryDirectory() as folder:
+    ...     save_state(Path(folder, "state.npz"), detector, detector.init(t=60.0))
+    ...     state = load_state(Path(folder, "state.npz"), detector)
+    >>> float(state.t)
+    60.0
     """
     require_detector(detector)
     write_arrays(Path(path), state_arrays(state, fingerprint(detector)))
@@ -138,8 +165,26 @@ def save_state(path: str | Path, detector: Detector, state: State) -> None:
 def load_state(path: str | Path, detector: Detector) -> State:
     """Read a state written by save_state.
 
-    ValueError where the file is none, damaged, of another detector, settings or plant, or of a version whose states have other
-    fields.
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    detector : Detector
+        That of the state, with the same settings on the same plant.
+
+    Returns
+    -------
+    State
+        From which a run goes on.
+
+    Raises
+    ------
+    ValueError
+        Where the file is none, damaged, of another detector, settings or plant, or of a version whose states have other fields.
+
+    Examples
+    --------
+    See `save_state`.
     """
     require_detector(detector)
     try:

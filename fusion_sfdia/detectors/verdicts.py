@@ -20,9 +20,28 @@ NO_THRESHOLDS = "the thresholds allow no decision yet"
 
 
 class Verdict(StrEnum):
-    """HEALTHY: judged, and nothing found. SENSOR: a sensor is isolated. PROCESS: the process differs from the model. OUTSIDE:
-    the data are outside what was learnt or declared. UNDECIDED ("cannot tell"): something is wrong and nothing is isolated, or
-    the method cannot decide yet. BLIND: nothing was judged, for want of data or of a model that gives numbers.
+    """A verdict on a row or on a log, a text for programs.
+
+    Attributes
+    ----------
+    HEALTHY
+        Judged, and nothing found.
+    SENSOR
+        A sensor is isolated.
+    PROCESS
+        The process differs from the model.
+    OUTSIDE
+        The data are outside what was learnt or declared.
+    UNDECIDED
+        "cannot tell": something is wrong and nothing is isolated, or the method cannot decide yet.
+    BLIND
+        Nothing was judged, for want of data or of a model that gives numbers.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.events import Verdict
+    >>> Verdict.UNDECIDED == "cannot tell"
+    True
     """
 
     HEALTHY = "healthy"

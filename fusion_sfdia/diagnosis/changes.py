@@ -25,8 +25,20 @@ KEPT = 600  # samples, from which size and kind of an event are taken
 class Alarm(NamedTuple):
     """The alarm to which a change belongs, see `Alarms`.
 
-    id: 1, 2, ... new: whether the change raises it; otherwise it updates one that was raised before. active: whether its cause
-    stands after the change.
+    Attributes
+    ----------
+    id : int
+        1, 2, ...
+    new : bool
+        Whether the change raises it; otherwise it updates one that was raised before.
+    active : bool
+        Whether its cause stands after the change.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.events import Alarm
+    >>> Alarm(id=1, new=True, active=True).new
+    True
     """
 
     id: int
@@ -37,14 +49,39 @@ class Alarm(NamedTuple):
 class Change(NamedTuple):
     """Something that a row decides, at its time t (s).
 
-    id: 1, 2, ... in the order of the rows. what: "opened", where a hypothesis is isolated, accepted or suspected; "closed",
-    where it is no longer, with the id of the opening; "named", where a second look at the last samples states the kind of fault
-    and its size with an interval, or states them anew, with the id of the opening or, of a sensor that is silent or frozen
-    and not isolated, a new one; "health", where the verdict on the model has changed, with the line of `diagnose` as reason;
-    "reset", where the detector has started anew, for the stated reason; "blind", where nothing can be judged, for the stated
-    reason, and "sees again", where that is over, with the id of "blind". event: as `diagnose` has it, with the size at that
-    time, when it opens with confidence and alternatives; None for a reset, health and sight. alarm: the alarm to which it
-    belongs; None of a reset and of health.
+    Attributes
+    ----------
+    id : int
+        1, 2, ... in the order of the rows.
+    what : str
+        "opened", where a hypothesis is isolated, accepted or suspected; "closed", where it is no longer, with the id of the
+        opening; "named", where a second look at the last samples states the kind of fault and its size with an interval, or
+        states them anew, with the id of the opening or, of a sensor that is silent or frozen and not isolated, a new one;
+        "health", where the verdict on the model has changed, with the line of `diagnose` as reason; "reset", where the detector
+        has started anew, for the stated reason; "blind", where nothing can be judged, for the stated reason, and "sees again",
+        where that is over, with the id of "blind".
+    t : float
+        Time of the row in s.
+    event : Event or None
+        As `diagnose` has it, with the size at that time, when it opens with confidence and alternatives; None for a reset,
+        health and sight.
+    reason : str
+        In words, of those that have one.
+    alarm : Alarm or None
+        The alarm to which it belongs; None of a reset and of health.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import Watch, simulate
+    >>> from fusion_sfdia.detectors import CentralFilter
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> recording = simulate(plant, 40, seeds=[1])
+    >>> y = recording.y[:, 0] + 0.2 * (recording.t > 100)[:, None] * [1.0, 0.0, 0.0, 0.0]
+    >>> watch = Watch(CentralFilter(plant, false_alarm=1e-6))
+    >>> change = next(watch.events(zip(recording.t, y, recording.u)))
+    >>> change.what, change.t, change.event.hypothesis, change.alarm.new
+    ('opened', 105.0, 'l1', True)
     """
 
     id: int

@@ -24,9 +24,24 @@ UNHEARD = UNDECIDED  # samples without a reading that could be judged, as many a
 class DeviceHealth(IntEnum):
     """The states of NAMUR NE 107 with the numbers of DeviceHealthEnumeration (OPC 10000-100, OPC UA for Devices, 4.5.4).
 
-    NORMAL: the reading is valid. FAILURE (F): it is not, the signal is lost. CHECK_FUNCTION (C): it cannot be relied on for
-    the time being. OFF_SPEC (S): its error is larger than stated. MAINTENANCE_REQUIRED (M): it is valid still, and will not
-    stay so.
+    Attributes
+    ----------
+    NORMAL
+        The reading is valid.
+    FAILURE
+        F: it is not, the signal is lost.
+    CHECK_FUNCTION
+        C: it cannot be relied on for the time being.
+    OFF_SPEC
+        S: its error is larger than stated.
+    MAINTENANCE_REQUIRED
+        M: it is valid still, and will not stay so.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.events import DeviceHealth
+    >>> DeviceHealth.OFF_SPEC.value
+    3
     """
 
     NORMAL = 0

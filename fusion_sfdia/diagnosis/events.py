@@ -27,10 +27,39 @@ EVEN = 0.5  # a confidence below which it is rather something else
 class Event:
     """A sensor that is isolated, silent or frozen from start to end (s).
 
-    size: of the fault, in the sensor's unit, with its 95 % interval from low to high, and over the sigma of the sensor's noise
-    (sigmas). open: whether it still acts at the end of the data. fault: its kind, see `fault_kinds`, "" where it is not known,
-    and fault_alternatives, kinds that it may be as well. confidence: probability that it is this sensor and not another, and
-    alternatives, the other hypotheses that could not be excluded when it was isolated. NaN where not known.
+    Attributes
+    ----------
+    hypothesis : str
+        The name of the sensor.
+    start : float
+        In s.
+    end : float
+        In s.
+    size : float
+        Of the fault, in the sensor's unit.
+    unit : str
+        Of the size.
+    open : bool
+        Whether it still acts at the end of the data.
+    fault : str
+        Its kind, see `fault_kinds`; "" where it is not known.
+    low, high : float
+        95 % interval of the size; NaN where not known.
+    sigmas : float
+        The size over the sigma of the sensor's noise; NaN where not known.
+    confidence : float
+        Probability that it is this sensor and not another; NaN where not known.
+    alternatives : tuple of str
+        The other hypotheses that could not be excluded when it was isolated.
+    fault_alternatives : tuple of str
+        Kinds that the fault may be as well.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.events import Event
+    >>> event = Event("l1", 300.0, 500.0, 0.08, "m", open=False, fault="bias")
+    >>> event.kind, event.end - event.start
+    ('sensor', 200.0)
     """
 
     kind: ClassVar[str] = "sensor"
@@ -52,14 +81,36 @@ class Event:
         return self.told(Clock())
 
     def told(self, clock: Clock) -> str:
-        """The event in words, with the times of a clock."""
+        """The event in words, with the times of a clock.
+
+        Parameters
+        ----------
+        clock : Clock
+            Of the log.
+
+        Returns
+        -------
+        str
+            In one line.
+        """
         end = "end of the log" if self.open else clock.at(self.end)
         doubts = [f"confidence {self.confidence:.2f}"] if self.confidence < CERTAIN else []
         doubts += [f"not excluded: {listed(self.alternatives)}"] if self.alternatives else []
         return "; ".join([f"{self.hypothesis}: {clock.at(self.start)} to {end}, {self.extent}", *doubts])
 
     def fields(self, clock: Clock) -> dict[str, Any]:
-        """For programs: its kind, its fields by name, and its times by ISO 8601, None where the clock has no start."""
+        """For programs: its kind, its fields by name, and its times by ISO 8601, None where the clock has no start.
+
+        Parameters
+        ----------
+        clock : Clock
+            Of the log.
+
+        Returns
+        -------
+        dict of str to any
+            By the names of the attributes, with kind, start_time and end_time.
+        """
         return {"kind": self.kind, **asdict(self), "start_time": clock.iso(self.start), "end_time": clock.iso(self.end)}
 
     @property
@@ -79,7 +130,18 @@ class Event:
         return self.when(Clock())
 
     def when(self, clock: Clock) -> str:
-        """When, in words, with the times of a clock."""
+        """When, in words, with the times of a clock.
+
+        Parameters
+        ----------
+        clock : Clock
+            Of the log.
+
+        Returns
+        -------
+        str
+            A part of a sentence.
+        """
         if self.open:
             return f"since {clock.at(self.start)}"
         return (
@@ -98,8 +160,25 @@ class OtherEvent(Event):
 class ProcessEvent(Event):
     """A process hypothesis that is accepted from start to end (s).
 
-    size, sd: how far the process is above the model and the standard deviation of that, medians over the event. nominal: the
-    value of the model, NaN where there is none. All in the unit of the hypothesis.
+    Attributes
+    ----------
+    size : float
+        How far the process is above the model, a median over the event, in the unit of the hypothesis.
+    sd : float
+        The standard deviation of the size, a median over the event, in the same unit.
+    nominal : float
+        The value of the model, in the same unit; NaN where there is none.
+
+    Notes
+    -----
+    The other attributes are those of `Event`.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.events import ProcessEvent
+    >>> event = ProcessEvent("outlet_1", 300.0, 500.0, -6e-5, "m2.5/s", open=False, sd=1e-5, nominal=6e-4)
+    >>> event.kind, event.difference
+    ('process', 'outlet_1 10 % +- 2 below the model')
     """
 
     kind: ClassVar[str] = "process"
@@ -107,7 +186,18 @@ class ProcessEvent(Event):
     nominal: float
 
     def told(self, clock: Clock) -> str:
-        """The event in words, with the times of a clock."""
+        """The event in words, with the times of a clock.
+
+        Parameters
+        ----------
+        clock : Clock
+            Of the log.
+
+        Returns
+        -------
+        str
+            In one line.
+        """
         return f"{self.difference} {self.when(clock)}: not a sensor"
 
     @property
@@ -145,14 +235,40 @@ class OperationEvent(Event):
 class UndecidedEvent(Event):
     """An alarm from start to end (s) that no hypothesis explains clearly better than others; it has no size.
 
-    suspects: the names of those that stood together longest, the most probable first.
+    Attributes
+    ----------
+    suspects : tuple of str
+        The names of those that stood together longest, the most probable first.
+
+    Notes
+    -----
+    The other attributes are those of `Event`.
+
+    Examples
+    --------
+    >>> from math import nan
+    >>> from fusion_sfdia.events import UndecidedEvent
+    >>> event = UndecidedEvent("l1 or inflow", 300.0, 500.0, nan, "", open=False, suspects=("l1", "inflow"))
+    >>> event.kind
+    'undecided'
     """
 
     kind: ClassVar[str] = "undecided"
     suspects: tuple[str, ...]
 
     def told(self, clock: Clock) -> str:
-        """The event in words, with the times of a clock."""
+        """The event in words, with the times of a clock.
+
+        Parameters
+        ----------
+        clock : Clock
+            Of the log.
+
+        Returns
+        -------
+        str
+            In one line.
+        """
         return f"{unsure(self.suspects)}, {self.when(clock)}"
 
 

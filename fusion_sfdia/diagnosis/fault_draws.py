@@ -20,9 +20,36 @@ UNITS = ("absolute", "relative", "sigmas")
 class FaultRange:
     """Faults of one kind with a magnitude uniform in [low, high] and a length of uniform whole samples low..high.
 
-    unit: of the magnitude: "absolute" (the sensor's unit, a factor for scale), "relative" (times the absolute value of
-    the signal) or "sigmas" (of the sensor's noise). signed: a random sign. hold: a drift rises over `length` samples and
-    then holds for `hold` samples, drawn independently; None for no hold. probability: as in Fault.
+    Parameters
+    ----------
+    kind : str
+        As in Fault.
+    magnitude : tuple of (float, float), default (0, 0)
+        low and high.
+    unit : str, default "absolute"
+        Of the magnitude: "absolute" (the sensor's unit, a factor for scale), "relative" (times the absolute value of the
+        signal) or "sigmas" (of the sensor's noise).
+    length : tuple of (int, int), default (10, 20)
+        low and high in samples.
+    hold : tuple of (int, int), optional
+        A drift rises over `length` samples and then holds for `hold` samples, drawn independently; None for no hold.
+    signed : bool, default True
+        A random sign.
+    probability : float, default 1
+        As in Fault.
+    description : str, default ""
+        In words.
+
+    Raises
+    ------
+    ValueError
+        For an unknown kind or unit, and for ranges that do not fit the kind.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.faults import FaultRange
+    >>> FaultRange("bias", (3.0, 10.0), unit="sigmas").length
+    (10, 20)
     """
 
     kind: str
@@ -79,9 +106,40 @@ def draw_faults(
 ) -> list[Fault]:
     """Return random faults: each of a range picked at random, on a random sensor, from a random sampling time.
 
-    ranges: preset names or FaultRanges. window: the onset is uniform over the multiples of dt in [low, high] s.
-    count: how many, or low..high. quantity: only sensors of it (as in plant.quantities). repeat: whether a sensor may
-    have several. Raises ValueError for unknown names, too few sensors, a window without a sampling time.
+    Parameters
+    ----------
+    ranges : str, FaultRange or sequence of them
+        Preset names or FaultRanges.
+    plant : Plant
+        Whose sensors fail.
+    rng : Generator or int
+        The randomness, or its seed.
+    window : tuple of (float, float)
+        The onset is uniform over the multiples of dt in [low, high] s.
+    count : int or tuple of (int, int), default 1
+        How many, or low..high.
+    quantity : str, optional
+        Only sensors of it (as in plant.quantities).
+    repeat : bool, default False
+        Whether a sensor may have several.
+
+    Returns
+    -------
+    list of Fault
+        To be put into readings by `apply_faults`.
+
+    Raises
+    ------
+    ValueError
+        For unknown names, too few sensors, a window without a sampling time.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.faults import FaultRange, draw_faults
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> drawn = draw_faults(FaultRange("drift", (5, 10), unit="sigmas"), two_tanks(), 7, window=(200.0, 400.0))
+    >>> drawn[0].kind, 200.0 <= drawn[0].onset <= 400.0
+    ('drift', True)
     """
     rng = np.random.default_rng(rng)
     choices = [ranges] if isinstance(ranges, str | FaultRange) else list(ranges)

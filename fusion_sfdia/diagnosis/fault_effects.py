@@ -38,11 +38,42 @@ def apply_faults(
 ) -> FaultedReadings:
     """Return the healthy readings y (K, ..., N) at t (K,) with faults in them.
 
-    faults: one list for the whole batch, or one for each of its elements in C order; several on one sensor act in order.
-    signal: (K, ..., N) noise-free readings, to which `relative` refers; None takes y for it.
-    rng: for the kinds that are random: a generator, a seed, or a seed for each element of the batch (then an element's
-    readings do not depend on the others). Raises ValueError for shapes that do not fit, an unknown sensor, a fault that
-    covers no sample, randomness without rng.
+    Parameters
+    ----------
+    plant : Plant
+        Whose sensors fail.
+    t : array (K,)
+        Times of the readings in s.
+    y : array (K, ..., N)
+        Healthy readings.
+    faults : sequence of Fault, or of sequences of Fault
+        One list for the whole batch, or one for each of its elements in C order; several on one sensor act in order.
+    rng : Generator, int or sequence of int, optional
+        For the kinds that are random: a generator, a seed, or a seed for each element of the batch (then an element's readings
+        do not depend on the others).
+    signal : array (K, ..., N), optional
+        Noise-free readings, to which `relative` refers; None takes y for it.
+
+    Returns
+    -------
+    FaultedReadings
+        y with the faults, active (K, ..., N) where a fault acts, and size, y minus the healthy readings.
+
+    Raises
+    ------
+    ValueError
+        For shapes that do not fit, an unknown sensor, a fault that covers no sample, randomness without rng.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import Fault, simulate
+    >>> from fusion_sfdia.faults import apply_faults
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> healthy = simulate(plant, 40, seeds=[1])
+    >>> readings = apply_faults(plant, healthy.t, healthy.y, [Fault("l1", "bias", onset=100.0, length=50.0, magnitude=0.05)])
+    >>> readings.active.sum(axis=0)  # faulty samples of each sensor, of one run
+    array([[10,  0,  0,  0]])
     """
     t, y = floats("t", t), floats("y", y)
     count = len(plant.sensors)

@@ -127,9 +127,37 @@ class Fault:
 
 
 def load_faults(path: str | Path, plant: Plant) -> list[Fault]:
-    """Read the [[fault]] tables of a TOML file; their keys are the fields of Fault.
+    r"""Read the [[fault]] tables of a TOML file; their keys are the fields of Fault.
 
-    Raises ValueError naming the file and the entry where it is no TOML, is empty, or has unknown keys, sensors or kinds.
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    plant : Plant
+        Which has the sensors.
+
+    Returns
+    -------
+    list of Fault
+        In the order of the file.
+
+    Raises
+    ------
+    ValueError
+        Naming the file and the entry where it is no TOML, is empty, or has unknown keys, sensors or kinds.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from fusion_sfdia.faults import load_faults
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> with TemporaryDirectory() as folder:
+    ...     path = Path(folder, "faults.toml")
+    ...     size = path.write_text('[[fault]]\nsensor = "l1"\nkind = "bias"\nonset = 300.0\nmagnitude = 0.05\n')
+    ...     faults = load_faults(path, two_tanks())
+    >>> faults[0].sensor, faults[0].magnitude
+    ('l1', 0.05)
     """
     expected = ', e.g. [[fault]] with sensor = "' + plant.sensor_names[0] + '", kind = "bias", onset = 60.0, magnitude = 0.1'
     try:

@@ -41,12 +41,41 @@ class Visible(NamedTuple):
 
 
 class Health(NamedTuple):
-    """nis: normalised innovation squared per reading over `samples` samples; limit: above it the model is suspect.
+    """Whether the model fits the readings, by the innovations of its filter.
 
-    excess: {sensor: by how much sums of its innovations vary more than stated} of the sensors significantly above the limit,
-    the largest first. shifts: {sensor: mean of its residuals over a part of the log, in standard deviations} of those in which
-    it is significantly above `shift_limit`. sensors: how many there are; untested: those with too few readings. visible: what
-    is seen of each other one. remarks: what else speaks against the model.
+    Attributes
+    ----------
+    nis : float
+        Normalised innovation squared per reading over `samples` samples.
+    limit : float
+        Above it the model is suspect.
+    samples : int
+        Number of samples behind nis.
+    excess : dict of str to float
+        {sensor: by how much sums of its innovations vary more than stated} of the sensors significantly above the limit, the
+        largest first.
+    shifts : dict of str to float
+        {sensor: mean of its residuals over a part of the log, in standard deviations} of those in which it is significantly
+        above `shift_limit`.
+    sensors : int
+        How many there are.
+    untested : tuple of str
+        Those with too few readings.
+    visible : Visible
+        What is seen of each other one.
+    tested : bool
+        Whether the readings sufficed for a test.
+    remarks : tuple of str
+        What else speaks against the model.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import diagnose, simulate
+    >>> from fusion_sfdia.events import Health
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> health: Health = diagnose("loo-glr", simulate(two_tanks(), 200, seeds=[3]), plant=two_tanks()).health
+    >>> health.suspect, health.sensors
+    (False, 4)
     """
 
     nis: float

@@ -29,9 +29,31 @@ MOST_STEPS = 10**9  # more is taken for a mistake: a step takes at least a micro
 class Recording:
     """Healthy readings and the truth behind them, time first, one run a seed.
 
-    t (K,) s, of the readings; u the input that acted until t, (K, m), in closed loop (K, B, m); y (K, B, N) readings; signal
-    (K, B, N) the same without noise; x (K, B, n) true states, None where they are not those of the detector's plant. seeds
-    (B,).
+    Attributes
+    ----------
+    t : array (K,)
+        Times of the readings in s.
+    u : array (K, m) or (K, B, m)
+        The input that acted until t; the latter in closed loop.
+    y : array (K, B, N)
+        Readings.
+    signal : array (K, B, N)
+        The same without noise.
+    x : array (K, B, n) or None
+        True states; None where they are not those of the detector's plant.
+    seeds : tuple of int (B,)
+        One of each run.
+    states, inputs, sensors : tuple of str
+        Names of the columns of x, u and y.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import simulate
+    >>> from fusion_sfdia.logs import Recording
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> recording: Recording = simulate(two_tanks(), 20, seeds=[0, 1, 2])
+    >>> recording.y.shape, recording.u_of_runs.shape, recording.sensors
+    ((20, 3, 4), (20, 3, 1), ('l1', 'l2', 'q12', 'q2'))
     """
 
     t: Array

@@ -51,15 +51,55 @@ class OtherDetectorError(ValueError):
 
 
 class WatchWarning(UserWarning):
-    """A row that a Watch did not take."""
+    """A row that a Watch did not take.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> from fusion_sfdia import detector
+    >>> with warnings.catch_warnings(record=True) as caught:
+    ...     warnings.simplefilter("always")
+    ...     rows = detector("kf-chi2", "two-tanks").stream().update(0.0, [1.0, 2.0], [0.001])  # two readings of four sensors
+    >>> rows, caught[0].category.__name__
+    ((), 'WatchWarning')
+    """
 
 
 class Sample(NamedTuple):
     """A row that was taken, with the inputs used, its Decision, and what it changes.
 
-    conclusion: the verdict with its reason, blind where nothing was judged; of a row in which all readings are repeats of slow
-    sensors, that of the row before. Where the model failed every number of the Decision is NaN. device_health: the state of
-    each sensor by NAMUR NE 107.
+    Attributes
+    ----------
+    t : float
+        Time in s.
+    y : array (N,)
+        Readings as they were judged, NaN where missing.
+    u : array (m,)
+        The inputs used.
+    decision : Decision
+        Of the detector; where the model failed every number of it is NaN.
+    changes : tuple of Change
+        What the row decides.
+    conclusion : Conclusion
+        The verdict with its reason, blind where nothing was judged; of a row in which all readings are repeats of slow sensors,
+        that of the row before.
+    device_health : tuple of DeviceHealth
+        The state of each sensor by NAMUR NE 107.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import Watch, simulate
+    >>> from fusion_sfdia.detectors import CentralFilter
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> recording = simulate(plant, 3, seeds=[1])
+    >>> watch = Watch(CentralFilter(plant, false_alarm=1e-6))
+    >>> for t, y, u in zip(recording.t, recording.y[:, 0], recording.u):
+    ...     for sample in watch.update(t, y, u):
+    ...         print(sample.t, sample.verdict, len(sample.changes))
+    5.0 healthy 0
+    10.0 healthy 0
+    15.0 healthy 0
     """
 
     t: float

@@ -220,10 +220,43 @@ def fit(
 ) -> Detector:
     """The registered detector of that name, fitted to healthy readings; one that does not learn gets its thresholds from them.
 
-    The counterpart of `BatchDetector.fit` for names. healthy: as `as_log` takes it; None for simulated runs of the plant,
-    enough for the rate, with the seeds on which registered detectors are fitted. false_alarm: per step over all sensors.
-    ValueError for unknown names and any other setting, and where the readings do not fit or are too few; NotApplicableError
-    as the detector raises it.
+    The counterpart of `BatchDetector.fit` for names.
+
+    Parameters
+    ----------
+    name : str or NamedDetector
+        A registered name.
+    plant : Plant or str
+        An object or a name.
+    healthy : Recording, Log, frame or tuple, optional
+        As `as_log` takes it; None for simulated runs of the plant, enough for the rate, with the seeds on which registered
+        detectors are fitted.
+    false_alarm : float, default 1e-3
+        Rate per step over all sensors.
+    **unknown
+        Any other setting is refused.
+
+    Returns
+    -------
+    Detector
+        On that plant.
+
+    Raises
+    ------
+    ValueError
+        For unknown names and any other setting, and where the readings do not fit or are too few.
+    NotApplicableError
+        As the detector raises it.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import simulate
+    >>> from fusion_sfdia.learning import fit
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> limits = fit("limits", plant, simulate(plant, 300, seeds=range(4), process_noise=True), false_alarm=0.01)
+    >>> type(limits).__name__, limits.fitted_rate
+    ('FixedLimits', 0.01)
     """
     if unknown:
         raise ValueError(

@@ -28,7 +28,39 @@ def check_log(
 ) -> LoadedLog:
     """Read a log as `load_log` does, and add to its findings the sensors whose unit looks wrong, see `suspected_units`.
 
-    ValueError as `load_log` raises it.
+    Parameters
+    ----------
+    source : str, Path or frame
+        As of `load_log`.
+    plant : Plant
+        As of `load_log`.
+    log_map : LogMap, str or Path, optional
+        As of `load_log`.
+    absent_sensors, other_columns, nominal_inputs : bool, default False
+        As of `load_log`.
+
+    Returns
+    -------
+    LoadedLog
+        Whose `suspects` are these sensors.
+
+    Raises
+    ------
+    ValueError
+        As `load_log` raises it.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from fusion_sfdia import simulate
+    >>> from fusion_sfdia.logs import check_log
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> recording = simulate(plant, 50, seeds=[1])
+    >>> frame = pd.DataFrame({"time": recording.t, "inflow": recording.u[:, 0]})
+    >>> frame[list(plant.sensor_names)] = recording.y[:, 0] * [100.0, 1.0, 1.0, 1.0]  # l1 in cm
+    >>> check_log(frame, plant).suspects
+    ('l1',)
     """
     return checked(
         plant,

@@ -26,7 +26,41 @@ BLOCK = 10_000  # rows in memory as text
 
 
 def write_log(path: str | Path, plant: Plant, t: Array, y: Array, u: Array | None = None) -> None:
-    """Write t (K,), y (K, N) and, if given, u (K, m) so that read_log returns the same bits. ValueError for other shapes."""
+    """Write a log so that read_log returns the same bits.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    plant : Plant
+        Whose names and units are the titles.
+    t : array (K,)
+        Times in s.
+    y : array (K, N)
+        Readings, NaN where missing.
+    u : array (K, m), optional
+        Inputs that acted until then.
+
+    Raises
+    ------
+    ValueError
+        For other shapes.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from fusion_sfdia import simulate
+    >>> from fusion_sfdia.logs import read_log, write_log
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> recording = simulate(plant, 20, seeds=[1])
+    >>> with TemporaryDirectory() as folder:
+    ...     write_log(Path(folder, "log.csv"), plant, recording.t, recording.y[:, 0], recording.u)
+    ...     log = read_log(Path(folder, "log.csv"), plant)
+    >>> bool((log.y == recording.y[:, 0]).all())
+    True
+    """
     t, y = floats("t", t), floats("y", y)
     u = np.empty((t.size, 0)) if u is None else floats("u", u)
     inputs = plant.inputs if u.size else ()
@@ -66,8 +100,35 @@ def read_log(
     """Read a log of a plant whose columns have the plant's names, in any order, each with or without its unit in brackets, or
     as a map states.
 
-    The readings of `load_log` alone, which also states what it found and the wall-clock start. A UserWarning names inputs
-    without a column that are the usual ones, where nominal_inputs accepts that.
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    plant : Plant
+        Whose sensors and inputs are read.
+    log_map : LogMap, str or Path, optional
+        As of `load_log`.
+    absent_sensors, other_columns, nominal_inputs : bool, default False
+        As of `load_log`.
+
+    Returns
+    -------
+    Log
+        The readings of `load_log` alone, which also states what it found and the wall-clock start.
+
+    Raises
+    ------
+    ValueError
+        As `load_log` raises it.
+
+    Warns
+    -----
+    UserWarning
+        Names inputs without a column that are the usual ones, where nominal_inputs accepts that.
+
+    Examples
+    --------
+    See `write_log`.
     """
     found = load_log(
         path, plant, log_map, absent_sensors=absent_sensors, other_columns=other_columns, nominal_inputs=nominal_inputs

@@ -28,15 +28,38 @@ def as_log(
 ) -> Log:
     """Return recorded readings of a plant as a Log.
 
-    data: t (K,), y (K, ..., N), u (K, ..., m) as three arguments or one tuple, a Log, or a Recording, the names of whose
-    sensors and inputs must be the plant's; or a frame of pandas, Polars or Arrow with a column for each sensor and input, as
-    `load_log` has them. Its times are in a column `time`, in an index of that name, or in an index of time stamps or
-    durations. Times are in seconds. Only a frame may have time stamps, which become seconds since its first row, which then
-    is at 0 s, and durations (timedelta64), which become seconds. y and u may be frames with the names of sensors and inputs,
-    in any order.
-    absent_sensors, other_columns, nominal_inputs: of a frame, as in `load_log`. ValueError for anything else, for shapes
-    that do not fit, for no reading at all, for inputs that are missing, for inputs of a frame beyond their limits, and for
-    time stamps in an array, which could be read as nanoseconds.
+    Parameters
+    ----------
+    plant : Plant
+        Whose sensors and inputs they are.
+    *data : arrays, tuple, Log, Recording or frame
+        t (K,), y (K, ..., N), u (K, ..., m) as three arguments or one tuple, a Log, or a Recording, the names of whose sensors
+        and inputs must be the plant's; or a frame of pandas, Polars or Arrow with a column for each sensor and input, as
+        `load_log` has them. Its times are in a column `time`, in an index of that name, or in an index of time stamps or
+        durations. Times are in seconds. Only a frame may have time stamps, which become seconds since its first row, which then
+        is at 0 s, and durations (timedelta64), which become seconds. y and u may be frames with the names of sensors and
+        inputs, in any order.
+    absent_sensors, other_columns, nominal_inputs : bool, default False
+        Of a frame, as in `load_log`.
+
+    Returns
+    -------
+    Log
+        In the units of the plant.
+
+    Raises
+    ------
+    ValueError
+        For anything else, for shapes that do not fit, for no reading at all, for inputs that are missing, for inputs of a frame
+        beyond their limits, and for time stamps in an array, which could be read as nanoseconds.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion_sfdia.logs import as_log
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> as_log(two_tanks(), [5.0, 10.0], np.ones((2, 4)), np.full((2, 1), 1e-3)).y.shape
+    (2, 4)
     """
     if len(data) == 1 and is_frame(data[0]):
         t, y, u = _of_frame(plant, data[0], absent_sensors, other_columns, nominal_inputs)

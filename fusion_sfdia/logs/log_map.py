@@ -37,11 +37,29 @@ CHOICES = {
 class Column:
     """What a column of a log holds: readings of a sensor or values of an input.
 
-    unit: of the column; it is converted to that of the plant. "" means the unit in the column's title, otherwise the
-    plant's. scale: value in that unit over the number in the log. quality: the title of the column with its quality codes.
-    time: the title of the column with its times, where it has its own.
-    states: the numbers of a column of texts or truth values, {"On": 2000.0, "Off": 0.0}, before the scale and in that unit;
-    upper and lower case are the same, and so are true, "TRUE" and 1.
+    Parameters
+    ----------
+    sensor : str, default ""
+        The name of the sensor in the plant.
+    input : str, default ""
+        Or that of the input.
+    unit : str, default ""
+        Of the column; it is converted to that of the plant. "" means the unit in the column's title, otherwise the plant's.
+    scale : float, default 1
+        Value in that unit over the number in the log.
+    quality : str, default ""
+        The title of the column with its quality codes.
+    time : str, default ""
+        The title of the column with its times, where it has its own.
+    states : mapping of str to float
+        The numbers of a column of texts or truth values, {"On": 2000.0, "Off": 0.0}, before the scale and in that unit; upper
+        and lower case are the same, and so are true, "TRUE" and 1.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.logs import Column
+    >>> Column(sensor="l1", unit="cm").name
+    'l1'
     """
 
     sensor: str = ""
@@ -82,26 +100,72 @@ class Column:
 class LogMap:
     """How a log is written, and which column holds which sensor or input.
 
-    time: title of the column of times, or of two that are joined, date and time. format: as strptime takes it; or the unit
-    of numbers ("s", "ms", "us", "ns", "min", "h", "d"), with a date where they count from one ("s since 1904-01-01"), or
-    "excel", "labview", "matlab", "julian", "filetime", "ticks"; "" recognises ISO 8601, seconds, and numbers that are seconds,
-    milli-, micro- or nanoseconds since 1970, days, or digits of the calendar. tz: time zone of stamps that state none, and in
-    which results are shown: a name, or an offset from UTC such as "+01:00" of a logger without summer time. separator, decimal,
-    thousands, encoding, preamble (lines before the header), unit_row (whether the row below the header holds units), skip_rows
-    (rows below these that are no readings), footer (such rows at the end), comment (what a line begins with that is a comment):
-    of a text file. sheet: of a workbook that has several.
+    Parameters
+    ----------
+    time : tuple of str, default ("time",)
+        Title of the column of times, or of two that are joined, date and time.
+    format : str, default ""
+        As strptime takes it; or the unit of numbers ("s", "ms", "us", "ns", "min", "h", "d"), with a date where they count from
+        one ("s since 1904-01-01"), or "excel", "labview", "matlab", "julian", "filetime", "ticks"; "" recognises ISO 8601,
+        seconds, and numbers that are seconds, milli-, micro- or nanoseconds since 1970, days, or digits of the calendar.
+    tz : str, default ""
+        Time zone of stamps that state none, and in which results are shown: a name, or an offset from UTC such as "+01:00" of a
+        logger without summer time.
+    separator, decimal, thousands, encoding : str
+        Of a text file; by default ",", ".", "" and "utf-8-sig".
+    preamble : int, default 0
+        Of a text file: lines before the header.
+    unit_row : bool, default False
+        Of a text file: whether the row below the header holds units.
+    skip_rows : int, default 0
+        Of a text file: rows below these that are no readings.
+    footer : int, default 0
+        Of a text file: such rows at the end.
+    comment : str, default ""
+        Of a text file: what a line begins with that is a comment.
+    sheet : str, default ""
+        Of a workbook that has several.
+    bad : tuple of str or float, default ()
+        Texts or numbers that stand for a missing reading.
+    quality : str, default ""
+        Pattern of the titles of quality columns, as in "{column}.Q"; of a long format the title of its one.
+    good : str or tuple, default ()
+        The codes that make a value count, "opc-da" or "opc-ua" for theirs, or texts, numbers and true.
+    duplicates : str, default "refuse"
+        Which of several values at one time counts.
+    order : str, default "refuse"
+        What is done with rows that are not in order.
+    inputs : str, default "at the sample"
+        Whether the input in a row acts from that row on ("at the sample", what historians give), or acted until then ("until
+        the sample", what `simulate` writes).
+    hold : float, default 0
+        For how long a missing input keeps its last value, s.
+    step : float, default 0
+        Seconds between the rows that the values are put in, of each column or tag the nearest in time; 0: as they are, or the
+        plant's step where tags have times of their own that fall between those of others.
+    mask : tuple of str, default ()
+        Comparisons such as "feed < 5", in the log's unit, of rows in which the plant is not in operation.
+    tag, value : str, default ""
+        Titles of a long format, with one value a row.
+    columns : mapping of str to Column
+        What each column is, by title; for columns that are not among them, their own title.
 
-    bad: texts or numbers that stand for a missing reading. quality: pattern of the titles of quality columns, as in
-    "{column}.Q"; of a long format the title of its one. good: the codes that make a value count, "opc-da" or "opc-ua" for
-    theirs, or texts, numbers and true. duplicates: which of several values at one time counts. order: what is done with rows
-    that are not in order. inputs: whether the input in a row acts from that row on ("at the sample", what historians give),
-    or acted until then ("until the sample", what `simulate` writes). hold: for how long a missing input keeps its last
-    value, s.
-    step: seconds between the rows that the values are put in, of each column or tag the nearest in time; 0: as they are, or the
-    plant's step where tags have times of their own that fall between those of others.
-    mask: comparisons such as "feed < 5", in the log's unit, of rows in which the plant is not in operation.
-    tag, value: titles of a long format, with one value a row. columns: what each column is, by title; for columns that are
-    not among them, their own title. ValueError for anything else.
+    Raises
+    ------
+    ValueError
+        For anything else.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from fusion_sfdia import load_log
+    >>> from fusion_sfdia.logs import Column, LogMap
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> frame = pd.DataFrame({"stamp": ["2026-03-01 10:00:00", "2026-03-01 10:00:05"], "LT01": [100.0, 101.0]})
+    >>> log_map = LogMap(time=("stamp",), columns={"LT01": Column(sensor="l1", unit="cm")})
+    >>> load_log(frame, plant, log_map, absent_sensors=True, nominal_inputs=True).log.y[:, 0]
+    array([1.  , 1.01])
     """
 
     time: tuple[str, ...] = ("time",)
@@ -194,9 +258,34 @@ class LogMap:
 
 
 def load_map(path: str | Path) -> LogMap:
-    """Return the LogMap of a file in TOML, with the tables [log] and [columns].
+    r"""Return the LogMap of a file in TOML, with the tables [log] and [columns].
 
-    LogError, a ValueError, that names the file and all keys that LogMap and Column do not take.
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Returns
+    -------
+    LogMap
+        As `load_log` takes it.
+
+    Raises
+    ------
+    ValueError
+        A LogError that names the file and all keys that LogMap and Column do not take.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from fusion_sfdia.logs import load_map
+    >>> with TemporaryDirectory() as folder:
+    ...     path = Path(folder, "map.toml")
+    ...     size = path.write_text('[log]\ntz = "Europe/Berlin"\n[columns]\nLT01 = {sensor = "l1", unit = "cm"}\n')
+    ...     log_map = load_map(path)
+    >>> log_map.tz, log_map.columns["LT01"].unit
+    ('Europe/Berlin', 'cm')
     """
     try:
         found = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))

@@ -20,8 +20,28 @@ REPORTED = 2.0  # times the median distance of readings: a shorter gap is uneven
 
 
 class Gap(NamedTuple):
-    """No reading between start and end (s). steps: how many the plant takes from one to the other; reset: the gap takes more
-    than `MOST_BRIDGES` steps, and the detector starts anew at its end.
+    """No reading between start and end (s).
+
+    Attributes
+    ----------
+    start : float
+        Time of the last reading before it, in s.
+    end : float
+        Time of the next reading, in s.
+    steps : int
+        How many the plant takes from one to the other.
+    reset : bool
+        The gap takes more than `MOST_BRIDGES` steps, and the detector starts anew at its end.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion_sfdia import Log, diagnose, simulate
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> recording = simulate(two_tanks(), 40, seeds=[1])
+    >>> rows = np.r_[:20, 30:40]
+    >>> diagnose("kf-chi2", Log(recording.t[rows], recording.y[rows, 0], recording.u[rows]), plant=two_tanks()).gaps[0]
+    Gap(start=100.0, end=155.0, steps=11, reset=False)
     """
 
     start: float

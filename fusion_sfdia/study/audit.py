@@ -168,7 +168,22 @@ def result_of(case: Case, seeds: int, found: Sequence[TrialOutcome], left_out: s
 class AuditResult:
     """The results of an audit, by case; str(audit) is the table that `fusion-sfdia audit` prints.
 
-    reliability: of the events of sensors with a confidence in [low, high] their number and the share that was right.
+    Attributes
+    ----------
+    plant : str
+        Its name.
+    detector : str
+        Its name.
+    steps : int
+        Rows of a trial.
+    results : tuple of CaseResult
+        One of each case.
+    reliability : tuple of (float, float, Estimate)
+        Of the events of sensors with a confidence in [low, high] their number and the share that was right.
+
+    Examples
+    --------
+    See `audit`.
     """
 
     plant: str
@@ -178,7 +193,13 @@ class AuditResult:
     reliability: tuple[tuple[float, float, Estimate], ...]
 
     def rows(self) -> list[Row]:
-        """The numbers as rows of a results file: the case as condition, its group as quantity."""
+        """The numbers as rows of a results file: the case as condition, its group as quantity.
+
+        Returns
+        -------
+        list of Row
+            As in metrics.csv.
+        """
         found = []
         for r in self.results:
             of = partial(row_of, self.plant, "audit", self.detector, "none", r.case.group, condition=r.case.name)

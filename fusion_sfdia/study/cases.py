@@ -25,10 +25,25 @@ USUAL_SETTLE = 100  # samples
 class MismatchCase(NamedTuple):
     """Healthy readings that the detectors' model does not predict: of another plant, or in another operation.
 
-    why: what happens to real plants, and why by so much. truth(): the plant that makes the readings, in its operation; None
-    for the usual one. inputs(t, start): the inputs (m,) that act from t (s) on, if readings are judged from `start` (s) on;
-    None for the usual ones. log(): the plant that made a healthy log, where it is not that of the readings. unseen: no setting
-    of any detector was chosen with this case in view; the comparison leaves it to the scenario `robustness`.
+    Attributes
+    ----------
+    name : str
+        Of the case.
+    why : str
+        What happens to real plants, and why by so much.
+    truth : callable or None
+        truth(): the plant that makes the readings, in its operation; None for the usual one.
+    inputs : callable or None
+        inputs(t, start): the inputs (m,) that act from t (s) on, if readings are judged from `start` (s) on; None for the usual
+        ones.
+    log : callable or None
+        log(): the plant that made a healthy log, where it is not that of the readings.
+    unseen : bool
+        No setting of any detector was chosen with this case in view; the comparison leaves it to the scenario `robustness`.
+
+    Examples
+    --------
+    See `ComparisonCases`.
     """
 
     name: str
@@ -42,9 +57,22 @@ class MismatchCase(NamedTuple):
 class ProcessFaultCase(NamedTuple):
     """A fault of the process, not of a sensor.
 
-    truth(onset): the plant that fails at `onset` (s), in its operation. lost: instead of it, factors (m,) by which the acting
-    inputs differ from the known ones from the onset on. named: what a right verdict may name, parameters, inputs or states of
-    the plant; several where they are physically the same.
+    Attributes
+    ----------
+    name : str
+        Of the case.
+    why : str
+        What happens to real plants.
+    truth : callable or None
+        truth(onset): the plant that fails at `onset` (s), in its operation.
+    lost : tuple of float (m,) or None
+        Instead of it, factors by which the acting inputs differ from the known ones from the onset on.
+    named : tuple of str
+        What a right verdict may name, parameters, inputs or states of the plant; several where they are physically the same.
+
+    Examples
+    --------
+    See `ComparisonCases`.
     """
 
     name: str
@@ -55,7 +83,23 @@ class ProcessFaultCase(NamedTuple):
 
 
 class PaperFault(NamedTuple):
-    """A sensor fault of a paper: make(plant, sensor, seed, onset, length in s); sensor: the one it is of, None for any."""
+    """A sensor fault of a paper.
+
+    Attributes
+    ----------
+    name : str
+        Of the fault.
+    about : str
+        A description in a line.
+    make : callable
+        make(plant, sensor, seed, onset, length in s) -> Fault.
+    sensor : str or None
+        The one it is of, None for any.
+
+    Examples
+    --------
+    See `ComparisonCases`.
+    """
 
     name: str
     about: str
@@ -84,11 +128,42 @@ def _none_published(*names: str) -> None:
 class ComparisonCases:
     """The cases of one plant; without arguments none.
 
-    operation(t): the inputs (m,) that act from t (s) on in the comparison; None for the plant's own operation.
-    other_operation(t, start): those of an operation that no healthy log of the usual one shows, see MismatchCase.inputs.
-    published_accuracy(detector, fault, quantity): share of the faults of a quantity that are judged right.
-    published_delay(detector, fault): delay of the detection. Both are None where no paper states them. settle: samples that a
-    filter needs to forget how it began, until its rate of false alarms is steady.
+    Parameters
+    ----------
+    operation : callable, optional
+        operation(t): the inputs (m,) that act from t (s) on in the comparison; None for the plant's own operation.
+    mismatch : tuple of MismatchCase, default ()
+        Healthy readings that the model does not predict.
+    process_faults : tuple of ProcessFaultCase, default ()
+        Faults of the process.
+    paper_faults : tuple of PaperFault, default ()
+        Sensor faults of papers.
+    published_accuracy : callable
+        published_accuracy(detector, fault, quantity): share of the faults of a quantity that are judged right; None where no
+        paper states it.
+    published_delay : callable
+        published_delay(detector, fault): delay of the detection; None where no paper states it.
+    settle : int
+        Samples that a filter needs to forget how it began, until its rate of false alarms is steady.
+    other_operation : callable, optional
+        other_operation(t, start): the inputs of an operation that no healthy log of the usual one shows, see
+        MismatchCase.inputs.
+
+    Examples
+    --------
+    >>> from functools import partial
+    >>> from fusion_sfdia import Fault
+    >>> from fusion_sfdia.faults import ComparisonCases, MismatchCase, PaperFault, ProcessFaultCase
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> def half_a_metre(plant, sensor, seed, onset, length):
+    ...     return Fault(sensor, "bias", onset, length, 0.5)
+    >>> cases = ComparisonCases(
+    ...     mismatch=(MismatchCase("outlets -5 %", "deposits narrow an outlet", partial(two_tanks, outlet=0.95)),),
+    ...     process_faults=(ProcessFaultCase("pump -10 %", "a worn pump", lost=(0.9,), named=("inflow",)),),
+    ...     paper_faults=(PaperFault("half a metre", "a bias of 0.5 m", half_a_metre, sensor="l1"),),
+    ... )
+    >>> [case.name for case in (*cases.mismatch, *cases.process_faults, *cases.paper_faults)]
+    ['outlets -5 %', 'pump -10 %', 'half a metre']
     """
 
     operation: Callable[[float], Array] | None = None

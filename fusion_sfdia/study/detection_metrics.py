@@ -27,7 +27,21 @@ Array = NDArray[Any]
 
 
 class RocCurve(NamedTuple):
-    """A curve over falling thresholds: alarm where score >= threshold."""
+    """A curve over falling thresholds: alarm where score >= threshold.
+
+    Attributes
+    ----------
+    false_alarm_probability : array (T,)
+        Share of the healthy samples in alarm.
+    detection_probability : array (T,)
+        Share of the faulty samples in alarm.
+    threshold : array (T,)
+        On the score.
+
+    Examples
+    --------
+    See `roc`.
+    """
 
     false_alarm_probability: Array
     detection_probability: Array
@@ -121,7 +135,36 @@ def roc(scores: Array, active: Array, where: Array | None = None) -> RocCurve:
 
 
 def auc(scores: Array, active: Array, where: Array | None = None) -> Estimate:
-    """Area under the ROC, P(score of a faulty sample > of a healthy one) + P(equal) / 2, with a jackknife over runs."""
+    """Area under the ROC, P(score of a faulty sample > of a healthy one) + P(equal) / 2, with a jackknife over runs.
+
+    Parameters
+    ----------
+    scores : array (K, B) or (K, B, N)
+        As of `roc`.
+    active : array (K, B, N) of bool
+        As of `roc`.
+    where : array (K, B) of bool, optional
+        As of `roc`.
+
+    Returns
+    -------
+    Estimate
+        The area with its 95 % interval and the number of runs; NaN where there are no faulty or no healthy samples.
+
+    Raises
+    ------
+    ValueError
+        As `roc` does.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion_sfdia.metrics import auc
+    >>> scores = np.array([[0.2, 0.3], [0.4, 0.1], [1.5, 0.2], [0.9, 2.0]])  # (K, B) of two runs
+    >>> active = np.repeat([[[False]], [[False]], [[True]], [[True]]], 2, axis=1)  # (K, B, N) of one sensor
+    >>> round(float(auc(scores, active).value), 3)
+    0.844
+    """
     area = _area(scores, active, where)
     return NOTHING if area is None else jackknife_over_runs(area, scores.shape[1])
 

@@ -29,12 +29,33 @@ PROCESS_FAULTS = {  # kind: effect of a severity s
 class EngineFault:
     """A process fault of the marine engine, for `marine_engine(process_faults=[...])`: all sensors are in order.
 
-    It acts from `onset` (s) on and grows linearly over `rise` (s) to `severity`, a share in (0, 1). kind: "turbine-fouling"
-    (its area is (1 - s) times as large), "compressor-fouling" (the turbocharger's efficiency, likewise), "injector-loss" (the
-    cylinder gets (1 - s) times the fuel that is set), "intercooler-fouling" (it leaves the air warmer by s times what the air
-    is above the cooler's temperature at full load) or "heavy-propeller" (the load is (1 + s) times as large). Kinds and shapes
-    are our choice: K24 names process faults as future work. Raises ValueError for another kind, a severity outside (0, 1), or
-    times that are not finite.
+    It acts from `onset` on and grows linearly over `rise` to `severity`. Kinds and shapes are our choice: K24 names process
+    faults as future work.
+
+    Parameters
+    ----------
+    kind : str
+        With s the severity: "turbine-fouling" (its area is (1 - s) times as large), "compressor-fouling" (the turbocharger's
+        efficiency, likewise), "injector-loss" (the cylinder gets (1 - s) times the fuel that is set), "intercooler-fouling" (it
+        leaves the air warmer by s times what the air is above the cooler's temperature at full load) or "heavy-propeller" (the
+        load is (1 + s) times as large).
+    severity : float
+        A share in (0, 1).
+    onset : float, default 0
+        In s.
+    rise : float, default 0
+        In s.
+
+    Raises
+    ------
+    ValueError
+        For another kind, a severity outside (0, 1), or times that are not finite.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.faults import EngineFault
+    >>> EngineFault("turbine-fouling", 0.1, onset=10.0, rise=20.0).severity_at(20.0)
+    0.05
     """
 
     kind: str
@@ -51,7 +72,18 @@ class EngineFault:
             raise ValueError(f"{self.kind}: onset {self.onset} s and rise {self.rise} s; expected finite, rise at least 0")
 
     def severity_at(self, t: float) -> float:
-        """Severity at t (s)."""
+        """Severity at a time.
+
+        Parameters
+        ----------
+        t : float
+            Time in s.
+
+        Returns
+        -------
+        float
+            0 until the onset, `severity` from the end of the rise on.
+        """
         if t < self.onset:
             return 0.0
         return self.severity * (min((t - self.onset) / self.rise, 1.0) if self.rise > 0 else 1.0)

@@ -28,12 +28,36 @@ AREA_FAULTS = {  # kind: effect of a value
 
 @dataclass(frozen=True)
 class AreaFault:
-    """A process fault of an area of the power network from `onset` until `end` (s), for `power_network(faults=[...])`.
+    """A process fault of an area of the power network from `onset` until `end`, for `power_network(faults=[...])`.
 
-    kind: "governor" (its time constant is `value`, s), "input-gain" (`value` times the reference reaches the area) or
-    "load-loss" (`value`, per unit, of the load known to the area is lost). Source: the first two are those of B18, scenarios 1
-    and 2; the third is ours. Raises ValueError for another kind, a value that is not finite, not positive for a time constant,
-    or means no fault, and an end that is not after the onset.
+    Parameters
+    ----------
+    kind : str
+        "governor" (its time constant is `value`, s), "input-gain" (`value` times the reference reaches the area) or "load-loss"
+        (`value`, per unit, of the load known to the area is lost). Source: the first two are those of B18, scenarios 1 and 2;
+        the third is ours.
+    area : str
+        Its name.
+    value : float
+        As the kind states.
+    onset : float, default 0
+        In s.
+    end : float, default inf
+        In s.
+
+    Raises
+    ------
+    ValueError
+        For another kind, a value that is not finite, not positive for a time constant, or means no fault, and an end that is
+        not after the onset.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.faults import AreaFault
+    >>> from fusion_sfdia.plants import power_network
+    >>> faulty = power_network(faults=[AreaFault("input-gain", "1", 0.5, onset=10.0)])  # the `truth` of `simulate`
+    >>> faulty.name == power_network().name
+    True
     """
 
     kind: str

@@ -73,22 +73,48 @@ class MonitoringMemory(NamedTuple):
 class AdaptiveThreshold(BatchDetector):
     """Monitoring modules of a plant whose `modules` state its equations; hypotheses are the sensors.
 
-    envelope: the range of healthy readings. A number: half of its width as a share of the nominal values. {variable: (least,
-    most)} in SI is for variables that change with the load; include twice the noise bound on either side. Default: twice the
-    largest noise bound plus 5 %. A varying load needs an envelope as wide as its transients; otherwise an alarm does not prove
-    a fault.
-    drift: {state: share of its nominal value by which it moves at most in one plant.dt}. Default: the values of the plant's
-    modules, for a steady load. Give it for a load that varies, even within the envelope (for loads of the engine within 3 %
-    marine_engine.receiver_drift). For other states the model and the readings bound the drift.
-    bounds: of algebraic variables: "corners"; "inclusion", interval arithmetic through the equation, K22 (36); "sivia", set
-    inversion, K24 (11); or "codac", set inversion by that library. The alternatives are wider and slow.
-    margins: {variable: share of its nominal value} added to its threshold. latch: the decision of a module that has fired
-    stays, (16).
-    agents: whether an agent exonerates its own sensors while none of its modules fires, (17), (18).
+    Parameters
+    ----------
+    envelope : float or mapping of str to (float, float), optional
+        The range of healthy readings. A number: half of its width as a share of the nominal values. {variable: (least, most)}
+        in SI is for variables that change with the load; include twice the noise bound on either side. Default: twice the
+        largest noise bound plus 5 %. A varying load needs an envelope as wide as its transients; otherwise an alarm does not
+        prove a fault.
+    drift : mapping of str to float, optional
+        {state: share of its nominal value by which it moves at most in one plant.dt}. Default: the values of the plant's
+        modules, for a steady load. Give it for a load that varies, even within the envelope (for loads of the engine within 3 %
+        marine_engine.receiver_drift). For other states the model and the readings bound the drift.
+    bounds : str, default "corners"
+        Of algebraic variables: "corners"; "inclusion", interval arithmetic through the equation, K22 (36); "sivia", set
+        inversion, K24 (11); or "codac", set inversion by that library. The alternatives are wider and slow.
+    observer_bounds : mapping of str to ObserverBound
+        {state: the constants of its observer's threshold (10), as published}.
+    margins : mapping of str to float
+        {variable: share of its nominal value} added to its threshold.
+    latch : bool, default True
+        The decision of a module that has fired stays, (16).
+    agents : bool, default True
+        Whether an agent exonerates its own sensors while none of its modules fires, (17), (18).
+
+    Notes
+    -----
+    Equations: Kougiatsos and Reppa 2024 (K24), and Kougiatsos 2022 (K22) where named.
 
     isolated: the members of all diagnoses, which may be most sensors; no sensor where no set of faults explains the modules
     that fire. The reconstruction keeps the readings of isolated sensors. The fault size is the residual; for an observer it is
     only the part of the fault that the observer has not followed.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import run, simulate
+    >>> from fusion_sfdia.detectors import AdaptiveThreshold
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> detector = AdaptiveThreshold(two_tanks())
+    >>> recording = simulate(detector.plant, 40, seeds=[1])
+    >>> y = recording.y[:, 0] + (recording.t > 100)[:, None] * [0.5, 0.0, 0.0, 0.0]
+    >>> decisions = run(detector, detector.init(), recording.t, y, recording.u)[1]
+    >>> int(decisions.alarm.argmax()), decisions.isolated[-1].tolist()
+    (20, [True, False, True, False])
     """
 
     envelope: float | Mapping[str, tuple[float, float]] | None = None

@@ -65,17 +65,39 @@ class ModuleBounds(NamedTuple):
 class VirtualSensors(BatchDetector):
     """Fault sizes and reconstructed readings on a plant whose `modules` state its equations; hypotheses are the sensors.
 
+    Parameters
+    ----------
+    envelope : float or mapping of str to (float, float), optional
+        As of AdaptiveThreshold.
+    drift : mapping of str to float, optional
+        As of AdaptiveThreshold.
+    learning_rates : mapping of str to float
+        {state: Gamma, 1/s} for states whose fault an adaptive observer (12) estimates, with the gain of their module. Its
+        estimate is not guaranteed; the interval is.
+    intersect : bool, default True
+        False for the interval of each instant alone, as (17) is printed. (14) has the equation's value at the readings in place
+        of the middle.
+    inversion : str, default "corners"
+        "corners", or "sivia" for set inversion (15) of the algebraic equations of isolated sensors, which is slow.
+
+    Notes
+    -----
     isolated: sensors whose own module has fired, given the reconstructed readings of the other sensors; they stay isolated.
     fault_size: the middle of the fault's interval, or the estimate of the adaptive observer; the residual where no constant
     offset fits. reconstruction: the readings without the faults; the value of the equation where a reading is missing or no
     constant offset fits.
 
-    envelope, drift: as of AdaptiveThreshold.
-    learning_rates: {state: Gamma, 1/s} for states whose fault an adaptive observer (12) estimates, with the gain of their
-    module. Its estimate is not guaranteed; the interval is.
-    intersect: False for the interval of each instant alone, as (17) is printed. (14) has the equation's value at the readings
-    in place of the middle.
-    inversion: "corners", or "sivia" for set inversion (15) of the algebraic equations of isolated sensors, which is slow.
+    Examples
+    --------
+    >>> from fusion_sfdia import run, simulate
+    >>> from fusion_sfdia.detectors import VirtualSensors
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> detector = VirtualSensors(two_tanks())
+    >>> recording = simulate(detector.plant, 40, seeds=[1])
+    >>> y = recording.y[:, 0] + (recording.t > 100)[:, None] * [0.5, 0.0, 0.0, 0.0]
+    >>> decisions = run(detector, detector.init(), recording.t, y, recording.u)[1]
+    >>> decisions.isolated[-1].tolist(), round(float(decisions.fault_size[-1, 0]), 1)
+    ([True, False, False, False], 0.5)
     """
 
     envelope: float | Mapping[str, tuple[float, float]] | None = None
@@ -102,10 +124,17 @@ class VirtualSensors(BatchDetector):
         return without_false_alarms(self.plant)
 
     def fault_interval(self, state: State) -> Interval:
-        """Return the intervals (*batch, N) of the sensors' constant offsets in sensor units, after the step that returned
-        `state`.
+        """Return the intervals of the sensors' constant offsets in sensor units, after the step that returned `state`.
 
-        -inf to inf for a sensor that is not isolated, empty where no constant offset fits.
+        Parameters
+        ----------
+        state : State
+            Of this detector.
+
+        Returns
+        -------
+        Interval (*batch, N)
+            -inf to inf for a sensor that is not isolated, empty where no constant offset fits.
         """
         self._batch_of(state)
         m, of = state.memory, self.thresholds

@@ -40,10 +40,34 @@ class EwmaLimits(BatchDetector):
     for white noise; for levels that vary slowly it is conservative. A level beyond its limit enters the average as that
     limit: the check of the level detects it, and the average returns quickly after it ends.
 
-    centre, level, change, average: (N,) in sensor units. The residual is that of the check with the largest ratio to its limit,
-    with its sign. Every sensor beyond a limit is isolated. reconstruction: the last reading within the limits, at first the
-    centre, in place of missing and violating ones. fault_size: reading less reconstruction. No state is estimated: estimate is
-    the plant's x0.
+    Parameters
+    ----------
+    centre : array (N,)
+        In sensor units, as the limits.
+    level : array (N,)
+        Limit of |y - centre|.
+    change : array (N,)
+        Limit of the change from one reading to the next.
+    average : array (N,)
+        Limit of the average once it has settled.
+    weight : float, default 0.2
+        Of the present reading in the average.
+
+    Notes
+    -----
+    The residual is that of the check with the largest ratio to its limit, with its sign. Every sensor beyond a limit is
+    isolated. reconstruction: the last reading within the limits, at first the centre, in place of missing and violating ones.
+    fault_size: reading less reconstruction. No state is estimated: estimate is the plant's x0.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import simulate
+    >>> from fusion_sfdia.detectors import EwmaLimits
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> limits = EwmaLimits.fit(plant, simulate(plant, 400, seeds=range(4), process_noise=True), false_alarm=0.01)
+    >>> limits.average.shape, bool((limits.average < limits.level).all())
+    ((4,), True)
     """
 
     estimates: ClassVar[bool] = False
@@ -66,11 +90,34 @@ class EwmaLimits(BatchDetector):
 
     @classmethod
     def fit(cls, plant: Plant, healthy: Any, false_alarm: float = 1e-3, *, weight: float = 0.2, **settings: Any) -> Self:
-        """Limits from healthy readings (see `healthy_readings`), at a rate of false alarms per step over all sensors.
+        """Limits from healthy readings, at a rate of false alarms per step over all sensors.
 
         Centre, level and change are those of `FixedLimits.fit` at two thirds of the rate. The limit of the average has the last
         third, in the same way: a unit of the sensor, its largest average in every other sample in time, times the order
-        statistic of the largest average of all sensors in their units in the other samples. ValueError as of `FixedLimits.fit`.
+        statistic of the largest average of all sensors in their units in the other samples.
+
+        Parameters
+        ----------
+        plant : Plant
+            The model, for the names, noise and resolutions of its sensors.
+        healthy : Recording, Log, frame or tuple
+            See `healthy_readings`.
+        false_alarm : float, default 1e-3
+            The rate.
+        weight : float, default 0.2
+            Of the present reading in the average.
+        **settings
+            Of the detector, by name.
+
+        Returns
+        -------
+        Self
+            The fitted detector.
+
+        Raises
+        ------
+        ValueError
+            As of `FixedLimits.fit`.
         """
         probability("false_alarm", false_alarm)
         weight = smoothing(weight)
@@ -88,7 +135,23 @@ class EwmaLimits(BatchDetector):
         return cls(plant, fixed.centre, fixed.level, fixed.change, average, weight, fitted_rate=false_alarm, **settings)
 
     def with_sensors_of(self, plant: Plant) -> Self:
-        """The detector itself: what it learnt from healthy readings stays; NotApplicableError for cyclic ones."""
+        """The detector itself: what it learnt from healthy readings stays.
+
+        Parameters
+        ----------
+        plant : Plant
+            With other noise, resolutions or periods of its sensors.
+
+        Returns
+        -------
+        Self
+            With the same limits.
+
+        Raises
+        ------
+        NotApplicableError
+            For cyclic sensors.
+        """
         require_no_cycles(plant, "limits and relations that are learnt from readings")
         return self
 

@@ -42,13 +42,35 @@ class FixedLimits(BatchDetector):
     """Two checks of each sensor, with the limits of `fit`: its level |y - centre|, and its change |y - y_before| from one
     reading to the next, whatever the time between them (not checked after a missing reading).
 
-    centre, level, change: (N,) in sensor units. The residual is that of the check with the larger ratio to its limit, with
-    its sign. Every sensor beyond a limit is isolated in that step: a fault that stays within the level limit shows only at its
-    onset and its end. reconstruction: the last good reading, at first the centre, in place of missing and violating ones.
-    fault_size: reading less reconstruction. No state is estimated: estimate is the plant's x0.
+    Parameters
+    ----------
+    centre : array (N,)
+        In sensor units, as the limits.
+    level : array (N,)
+        Limit of |y - centre|.
+    change : array (N,)
+        Limit of |y - y_before|.
+
+    Notes
+    -----
+    The residual is that of the check with the larger ratio to its limit, with its sign. Every sensor beyond a limit is isolated
+    in that step: a fault that stays within the level limit shows only at its onset and its end. reconstruction: the last good
+    reading, at first the centre, in place of missing and violating ones. fault_size: reading less reconstruction. No state is
+    estimated: estimate is the plant's x0.
 
     Limits do not depend on the operating point: they contain all healthy readings of a varying operation, and faults smaller
     than that variation are not detected.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion_sfdia.detectors import FixedLimits
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> limits = FixedLimits(plant, centre=np.ones(4), level=np.full(4, 0.1), change=np.full(4, 0.05))
+    >>> state, decision = limits.step(limits.init(), 5.0, np.array([1.0, 1.2, 1.0, np.nan]), plant.input_at(0.0))
+    >>> decision.isolated, decision.reconstruction
+    (array([False,  True, False, False]), array([1., 1., 1., 1.]))
     """
 
     estimates: ClassVar[bool] = False
@@ -68,13 +90,34 @@ class FixedLimits(BatchDetector):
 
     @classmethod
     def fit(cls, plant: Plant, healthy: Any, false_alarm: float = 1e-3, **settings: Any) -> Self:
-        """Limits from healthy readings (see `healthy_readings`), at a rate of false alarms per step over all sensors.
+        """Limits from healthy readings, at a rate of false alarms per step over all sensors.
 
         The centre is the mean. A limit is a unit of the sensor and the check times a common factor. The unit is the largest
         deviation in every other sample in time. A sensor that never moved there gets that of as many readings with its stated
         noise (its bound, or a quantile of its sigma), at least its resolution. The factor is the order statistic, at that rate,
         of the largest deviation of all sensors and both checks in these units, over the other samples. So 2 / false_alarm
-        samples set limits for any number of sensors. ValueError where the data are fewer, or a sensor was never read.
+        samples set limits for any number of sensors.
+
+        Parameters
+        ----------
+        plant : Plant
+            The model, for the names, noise and resolutions of its sensors.
+        healthy : Recording, Log, frame or tuple
+            See `healthy_readings`.
+        false_alarm : float, default 1e-3
+            The rate.
+        **settings
+            Of the detector, by name.
+
+        Returns
+        -------
+        Self
+            The fitted detector.
+
+        Raises
+        ------
+        ValueError
+            Where the data are fewer, or a sensor was never read.
         """
         probability("false_alarm", false_alarm)
         y = healthy_readings(plant, healthy)
@@ -95,7 +138,23 @@ class FixedLimits(BatchDetector):
         return cls(plant, centre, factors * unit[0], factors * unit[1], fitted_rate=false_alarm, **settings)
 
     def with_sensors_of(self, plant: Plant) -> Self:
-        """The detector itself: what it learnt from healthy readings stays; NotApplicableError for cyclic ones."""
+        """The detector itself: what it learnt from healthy readings stays.
+
+        Parameters
+        ----------
+        plant : Plant
+            With other noise, resolutions or periods of its sensors.
+
+        Returns
+        -------
+        Self
+            With the same limits.
+
+        Raises
+        ------
+        NotApplicableError
+            For cyclic sensors.
+        """
         require_no_cycles(plant, "limits and relations that are learnt from readings")
         return self
 
@@ -118,9 +177,32 @@ class FixedLimits(BatchDetector):
         return residual, threshold, np.abs(residual) > threshold
 
     def steps(self, state: State, t: Array, y: Array, u: Array) -> tuple[State, Decision]:
-        """The steps through all of t (K,), y (K, N), u (K, m) of one run at once: the same bits as `step` for each.
+        """The steps through all rows of one run at once: the same bits as `step` for each.
 
-        A check needs the reading before, a reconstruction the last good one, whatever lies between. ValueError as of `step`.
+        A check needs the reading before, a reconstruction the last good one, whatever lies between.
+
+        Parameters
+        ----------
+        state : State
+            Before the first row.
+        t : array (K,)
+            Times in s.
+        y : array (K, N)
+            Readings, NaN where missing.
+        u : array (K, m)
+            Inputs that acted until then.
+
+        Returns
+        -------
+        state : State
+            After the last row.
+        decisions : Decision
+            Its arrays have the time as first axis.
+
+        Raises
+        ------
+        ValueError
+            As of `step`.
         """
         if self._batch_of(state) != () or not len(t):
             raise ValueError("steps takes one run of at least one time; use step for a batch of runs")

@@ -32,7 +32,28 @@ class OneClass(ReconstructionDetector):
     the variation of healthy readings in its direction, and gamma = 1 / D, the usual inverse of the number of variables of
     variance 1. `ReconstructionDetector` isolates the sensors.
 
-    support: w_j (S, D). weights: a_j (S,), positive. limit: of the statistic.
+    Parameters
+    ----------
+    model : ComponentModel
+        Of the variation of healthy readings.
+    support : array (S, D)
+        w_j.
+    weights : array (S,)
+        a_j, positive.
+    limit : float
+        Of the statistic.
+    max_faults : int, default 3
+        Sensors that are isolated at once at most.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import simulate
+    >>> from fusion_sfdia.detectors import OneClass
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> machine = OneClass.fit(plant, simulate(plant, 200, seeds=range(4), process_noise=True), false_alarm=0.01)
+    >>> machine.support.shape[1], machine.max_faults
+    (4, 3)
     """
 
     support: Array
@@ -55,12 +76,36 @@ class OneClass(ReconstructionDetector):
 
     @classmethod
     def fit(cls, plant: Plant, healthy: Any, false_alarm: float = 1e-3, *, outliers: float = 0.1, **settings: Any) -> Self:
-        """Model, machine and limit from healthy readings (see `healthy_readings`), at that rate of false alarms per step.
+        """Model, machine and limit from healthy readings, at a rate of false alarms per step.
 
-        Of the training half, at most TRAINED_ON samples evenly spread train the machine, of which at most the share `outliers`
-        (nu) is rejected: 0.1, chosen among 0.01, 0.1 and 0.5 on runs of other seeds than those compared; the other half
-        sets the limit as an order statistic. ValueError where the data are too few for the rate or the sensors,
-        NotApplicableError for a plant of one sensor.
+        Of the training half, at most TRAINED_ON samples evenly spread train the machine; the other half sets the limit as an
+        order statistic.
+
+        Parameters
+        ----------
+        plant : Plant
+            The model, for the names and noise of its sensors.
+        healthy : Recording, Log, frame or tuple
+            See `healthy_readings`.
+        false_alarm : float, default 1e-3
+            The rate.
+        outliers : float, default 0.1
+            nu, the share of the training samples that is rejected at most: 0.1, chosen among 0.01, 0.1 and 0.5 on runs of other
+            seeds than those compared.
+        **settings
+            Of the detector, by name.
+
+        Returns
+        -------
+        Self
+            The fitted detector.
+
+        Raises
+        ------
+        ValueError
+            Where the data are too few for the rate or the sensors.
+        NotApplicableError
+            For a plant of one sensor.
         """
         from sklearn.svm import OneClassSVM  # slow to import
 
@@ -78,7 +123,18 @@ class OneClass(ReconstructionDetector):
         return whitening(self.model)
 
     def statistic(self, x: Array) -> Array:
-        """-log p (B,) of standardised readings x (B, D)."""
+        """-log p of standardised readings.
+
+        Parameters
+        ----------
+        x : array (B, D)
+            Standardised readings.
+
+        Returns
+        -------
+        array (B,)
+            To be compared with `limit`.
+        """
         w, s = x @ self._whitening, self.support
         square = np.sum(w**2, axis=-1)[:, None] - 2 * w @ s.T + np.sum(s**2, axis=-1)
         return -np.asarray(logsumexp(-np.maximum(square, 0.0) / w.shape[1], b=self.weights / self.weights.sum(), axis=-1))

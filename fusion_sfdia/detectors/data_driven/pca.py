@@ -29,6 +29,31 @@ class PrincipalComponents(ReconstructionDetector):
     raised beyond any. `ComponentModel` is the model, with the lags of dynamic components; `ReconstructionDetector` isolates
     the sensors. Readings are divided by the noise that their sensors state: divided by the standard deviation of a varying
     operation, a fault would be hidden that is small against the variation, however large it is against the noise.
+
+    Parameters
+    ----------
+    model : ComponentModel
+        Of the variation of healthy readings.
+    limit_t2 : float
+        Of T2; infinite where there is no component.
+    limit_spe : float
+        Of SPE.
+    limit_contribution : float
+        Of c^2.
+    max_faults : int, default 3
+        Sensors that are isolated at once at most.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import run, simulate
+    >>> from fusion_sfdia.detectors import PrincipalComponents
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> pca = PrincipalComponents.fit(plant, simulate(plant, 200, seeds=range(4), process_noise=True), false_alarm=0.01)
+    >>> recording = simulate(plant, 40, seeds=[9])
+    >>> y = recording.y[:, 0] + (recording.t > 100)[:, None] * [0.5, 0.0, 0.0, 0.0]
+    >>> run(pca, pca.init(), recording.t, y, recording.u)[1].isolated[-1].tolist()
+    [True, False, False, False]
     """
 
     limit_t2: float
@@ -53,11 +78,37 @@ class PrincipalComponents(ReconstructionDetector):
         lags: int = 0,
         **settings: Any,
     ) -> Self:
-        """Model and limits from healthy readings (see `healthy_readings`), at that rate of false alarms per step.
+        """Model and limits from healthy readings, at a rate of false alarms per step.
 
         The model is that of `ComponentModel.fit`, which trains on half of the data; the rest set the limits as order
-        statistics, which share the rate equally; that of T2 is infinite where there is no component. ValueError where the data
-        are too few for the rate or the sensors, NotApplicableError for a plant of one sensor.
+        statistics, which share the rate equally; that of T2 is infinite where there is no component.
+
+        Parameters
+        ----------
+        plant : Plant
+            The model, for the names and noise of its sensors.
+        healthy : Recording, Log, frame or tuple
+            See `healthy_readings`.
+        false_alarm : float, default 1e-3
+            The rate.
+        components : int, optional
+            As of `ComponentModel.fit`.
+        lags : int, default 0
+            Samples before the present one in a window.
+        **settings
+            Of the detector, by name.
+
+        Returns
+        -------
+        Self
+            The fitted detector.
+
+        Raises
+        ------
+        ValueError
+            Where the data are too few for the rate or the sensors.
+        NotApplicableError
+            For a plant of one sensor.
         """
         probability("false_alarm", false_alarm)
         model, _, judge = ComponentModel.fit(plant, healthy, lags, components)
@@ -74,7 +125,18 @@ class PrincipalComponents(ReconstructionDetector):
         )
 
     def statistics(self, found: Reconstruction) -> tuple[Array, Array, Array]:
-        """T2, SPE and the largest contribution (B,)."""
+        """T2, SPE and the largest contribution.
+
+        Parameters
+        ----------
+        found : Reconstruction
+            Of the readings of B runs.
+
+        Returns
+        -------
+        t2, spe, contribution : array (B,)
+            To be compared with the limits.
+        """
         p = self.model.components
         scores = found.x @ p.T
         t2 = np.sum(scores**2 / self.model.variances, axis=-1)

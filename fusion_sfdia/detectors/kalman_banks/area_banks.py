@@ -85,8 +85,31 @@ class NetworkDecision(NamedTuple):
 class RobustAreas:
     """The robust banks of all areas of a network.
 
-    false_alarm, process_false_alarm: of the whole network in one step, shared by all its sensors and hypotheses, as of
-    `RobustBank` on the whole network. settings: others of `RobustBank`. Raises ValueError as `RobustBank` does.
+    Parameters
+    ----------
+    areas : LocalAreas
+        The models of the areas and the network.
+    false_alarm : float, default 1e-3
+        Of the whole network in one step, shared by all its sensors, as of `RobustBank` on the whole network.
+    process_false_alarm : float, default 1e-5
+        Of the whole network in one step, shared by all its hypotheses, likewise.
+    settings : mapping of str to any
+        Others of `RobustBank`.
+
+    Raises
+    ------
+    ValueError
+        As `RobustBank` does.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.detectors import RobustAreas
+    >>> from fusion_sfdia.models.power_network.area_plant import local_areas
+    >>> from fusion_sfdia.models.power_network.model import network_model
+    >>> from fusion_sfdia.models.power_network.parameters import generate_network
+    >>> banks = RobustAreas(local_areas(network_model(generate_network(6, seed=0))))
+    >>> len(banks.sensors), len(banks.process_hypotheses)
+    (38, 62)
     """
 
     areas: LocalAreas
@@ -152,13 +175,47 @@ class RobustAreas:
         return tuple(names)
 
     def init(self, batch: tuple[int, ...] = (), t: float = 0.0) -> tuple[State, ...]:
-        """The state of a batch of runs at time t (s): that of each group's bank."""
+        """The state of a batch of runs at a time: that of each group's bank.
+
+        Parameters
+        ----------
+        batch : tuple of int, default ()
+            Shape of the batch.
+        t : float, default 0
+            Time in s.
+
+        Returns
+        -------
+        tuple of State
+            One for each group of areas.
+        """
         return tuple(bank.init((*batch, len(g.areas)), t) for bank, g in zip(self.banks, self.areas.groups, strict=True))
 
     def step(self, state: tuple[State, ...], t: float, y: Array, u: Array) -> tuple[tuple[State, ...], NetworkDecision]:
-        """Diagnose the readings y (..., S) taken at t (s), NaN where missing, under the inputs u (..., 2N) since the last step.
+        """Diagnose readings under the inputs since the last step.
 
-        ValueError for values and shapes that do not fit, as of the banks.
+        Parameters
+        ----------
+        state : tuple of State
+            After the last step, or of `init`.
+        t : float
+            Time of the readings in s.
+        y : array (..., S)
+            Readings of the areas' states and then those at the sides of the ties, NaN where missing.
+        u : array (..., 2N)
+            Inputs that acted since the last step.
+
+        Returns
+        -------
+        state : tuple of State
+            After these readings.
+        decision : NetworkDecision
+            What the areas decide.
+
+        Raises
+        ------
+        ValueError
+            For values and shapes that do not fit, as of the banks.
         """
         y, u = floats("y", y), floats("u", u)
         groups, n = self.areas.groups, len(self.banks[0].plant.states)
@@ -182,9 +239,26 @@ class RobustAreas:
         return tuple(after), self._joined(batch, sensors, decisions)
 
     def readmit(self, state: tuple[State, ...], sensors: str | Iterable[str]) -> tuple[State, ...]:
-        """The state in which sensors, by name, are used again in all runs: after their repair, or where an isolation was wrong.
+        """The state in which sensors are used again in all runs: after their repair, or where an isolation was wrong.
 
-        As `BatchDetector.readmit` of the bank of the area that judges each sensor. ValueError for an unknown sensor.
+        As `BatchDetector.readmit` of the bank of the area that judges each sensor.
+
+        Parameters
+        ----------
+        state : tuple of State
+            After the last step.
+        sensors : str or iterable of str
+            Their names.
+
+        Returns
+        -------
+        tuple of State
+            From which the run goes on.
+
+        Raises
+        ------
+        ValueError
+            For an unknown sensor.
         """
         names = [sensors] if isinstance(sensors, str) else list(sensors)
         if unknown := [name for name in names if name not in self.sensors]:

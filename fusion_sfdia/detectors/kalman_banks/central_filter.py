@@ -26,6 +26,25 @@ class CentralFilter(BatchDetector):
 
     Residual: y - E[y]. Threshold: from its variance, at the probability `false_alarm` per step over all sensors (Bonferroni).
     The sensor with the largest ratio above 1 is isolated.
+
+    Parameters
+    ----------
+    estimator : Estimator, default Extended()
+        The kind of filter: `Extended`, `Unscented`, `Ensemble` or `GaussianParticles`.
+    false_alarm : float, default 1e-3
+        Probability of an alarm per step over all sensors.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import run, simulate
+    >>> from fusion_sfdia.detectors import CentralFilter
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> detector = CentralFilter(two_tanks(), false_alarm=1e-6)
+    >>> recording = simulate(detector.plant, 40, seeds=[1])
+    >>> y = recording.y[:, 0] + (recording.t == 150)[:, None] * [0.5, 0.0, 0.0, 0.0]  # a single wrong reading
+    >>> decisions = run(detector, detector.init(), recording.t, y, recording.u)[1]
+    >>> recording.t[decisions.isolated[:, 0]]
+    array([150.])
     """
 
     estimator: Estimator = field(default_factory=Extended)

@@ -95,25 +95,48 @@ class Local(NamedTuple):
 class FusingBank(BatchDetector):
     """N local filters, the i-th without sensor i, mixed and fed back (Shaheen 2024, sec. III).
 
-    plant, estimator: the model and the kind of local filter: `Extended`, `Unscented`, `Ensemble` or `GaussianParticles`.
-    beta: the information distribution factors (N,), which sum to 1;
-    None for 1/N each. feedback: "federated" or "printed", of the covariance of the mixture. The covariance of a Decision is
-    N P_m with the first, P_m with the second.
-    literal: run N filters one by one, as those of `filterpy_estimators` are meant to; otherwise the algebra of `leave_one_out`
-    and `mixing` gives the same numbers at the cost of one filter (equal beta only: unequal beta always runs literally, and an
-    ensemble has none).
-    thresholds: (N,) on the square root of the state variance (19) of each sensor, in sensor units. The paper gives no values:
-    set them with `fit` or `fit_thresholds`. Without them no alarm is raised, and `init` warns; (inf,) * N states that this is
-    intended.
-    residual_scale: (n,), divides the states in the residual (20), which would otherwise add different units; None for the
-    plant's state_scale.
-    accommodate: treat the isolated sensor as missing in that step.
-    max_faults: sensors that are isolated in one step, one after the other: without those before the bank is asked again. The
-    paper isolates one. settle: samples from the start on in which filters forget their initial covariance: thresholds are
-    infinite until then; `fit_thresholds` learns it.
-    adaptive: thresholds are in units of `expected_deviation` of the present sample, which grows where a filter has just started
-    and where readings are missing; equal beta only. With few readings missing and settled filters they differ little from
-    constant ones.
+    Parameters
+    ----------
+    plant : Plant
+        The model.
+    estimator : Estimator, default Unscented(redraw=False)
+        The kind of local filter: `Extended`, `Unscented`, `Ensemble` or `GaussianParticles`.
+    beta : tuple of float (N,), optional
+        The information distribution factors, which sum to 1; None for 1/N each.
+    thresholds : tuple of float (N,), optional
+        On the square root of the state variance (19) of each sensor, in sensor units. The paper gives no values: set them with
+        `fit` or `fit_thresholds`. Without them no alarm is raised, and `init` warns; (inf,) * N states that this is intended.
+    residual_scale : tuple of float (n,), optional
+        Divides the states in the residual (20), which would otherwise add different units; None for the plant's state_scale.
+    accommodate : bool, default True
+        Treat the isolated sensor as missing in that step.
+    literal : bool, default False
+        Run N filters one by one, as those of `filterpy_estimators` are meant to; otherwise the algebra of `leave_one_out` and
+        `mixing` gives the same numbers at the cost of one filter (equal beta only: unequal beta always runs literally, and an
+        ensemble has none).
+    feedback : str, default "federated"
+        "federated" or "printed", of the covariance of the mixture. The covariance of a Decision is N P_m with the first, P_m
+        with the second.
+    max_faults : int, default 1
+        Sensors that are isolated in one step, one after the other: without those before the bank is asked again. The paper
+        isolates one.
+    settle : int, default 0
+        Samples from the start on in which filters forget their initial covariance: thresholds are infinite until then;
+        `fit_thresholds` learns it.
+    adaptive : bool, default False
+        Thresholds are in units of `expected_deviation` of the present sample, which grows where a filter has just started and
+        where readings are missing; equal beta only. With few readings missing and settled filters they differ little from
+        constant ones.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import simulate
+    >>> from fusion_sfdia.detectors import FusingBank
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> bank = FusingBank.fit(plant, simulate(plant, 200, seeds=range(4), process_noise=True), false_alarm=0.01)
+    >>> len(bank.thresholds), bank.beta, bank.fitted_rate
+    (4, None, 0.01)
     """
 
     estimator: Estimator = field(default_factory=lambda: Unscented(redraw=False))
@@ -169,7 +192,22 @@ class FusingBank(BatchDetector):
         return [replace(self.plant, process_cov=self.plant.process_cov / (count * b)) for b in self.beta]
 
     def init(self, batch: int | tuple[int, ...] = (), t: float = 0.0, seed: int = 0) -> State:
-        """As of every detector; with a UserWarning where there are no thresholds."""
+        """As of every detector; with a UserWarning where there are no thresholds.
+
+        Parameters
+        ----------
+        batch : int or tuple of int, default ()
+            Shape of the batch; a number: that many runs.
+        t : float, default 0
+            Time in s at which the first step begins.
+        seed : int, default 0
+            Of the randomness of the filters.
+
+        Returns
+        -------
+        State
+            Before the first reading.
+        """
         if self.thresholds is None:
             warn(
                 "FusingBank has no thresholds and will never raise an alarm; set them with fit_thresholds(healthy), "
@@ -180,9 +218,27 @@ class FusingBank(BatchDetector):
     def fit_thresholds(self, healthy: Any, false_alarm: float = 1e-3, warm_up: int = 20) -> Self:
         """Return the bank with one threshold for each quantity, for a rate of false alarms per step over all sensors.
 
-        healthy: as in `fit`. The threshold of a quantity is an order statistic of its largest residual after the first
-        `warm_up` samples, in which the filter settles. The quantities share the rate equally. Runs in which the bank diverges
-        are left out. Raises ValueError for too few data: less than one sample expected above a threshold.
+        The threshold of a quantity is an order statistic of its largest residual after the first `warm_up` samples, in which
+        the filter settles. The quantities share the rate equally. Runs in which the bank diverges are left out.
+
+        Parameters
+        ----------
+        healthy : Recording, Log, frame or tuple
+            As in `fit`.
+        false_alarm : float, default 1e-3
+            The rate.
+        warm_up : int, default 20
+            Samples that are left out at the beginning of each run.
+
+        Returns
+        -------
+        Self
+            The fitted bank.
+
+        Raises
+        ------
+        ValueError
+            For too few data: less than one sample expected above a threshold.
         """
         t, y, u = self._healthy(healthy, false_alarm, warm_up)
         groups = self.plant.quantities

@@ -69,14 +69,33 @@ class LeaveOneOutMemory(NamedTuple):
 class LeaveOneOutBank(ExcludingBank):
     """Leave-one-out bank on one central filter (extended or unscented with redraw).
 
-    window: samples over which a fault may have begun; 1 for the one-sample chi-square alone.
-    false_alarm: probability that an alarm begins in one step with healthy sensors. With accommodation an alarm lasts until its
-    sensor is readmitted, otherwise until its samples have left the window. The sensors share it equally; with a window, one
-    half is for the one-sample test and one half for the onsets. By Bonferroni it is a bound, for a correct model.
-    max_faults: sensors that may be excluded at once (None: what the plant's redundancy allows, half of the
-    sensors or fewer, see `redundancy`; `inspect` states it, and `Decision.capped` where it binds).
-    accommodate: leave out isolated sensors; without it the statistics are those of the filter on all sensors, for sweeps over
-    the threshold.
+    Parameters
+    ----------
+    estimator : Estimator, default Extended()
+        The kind of filter.
+    window : int, default 15
+        Samples over which a fault may have begun; 1 for the one-sample chi-square alone.
+    false_alarm : float, default 1e-3
+        Probability that an alarm begins in one step with healthy sensors. With accommodation an alarm lasts until its sensor is
+        readmitted, otherwise until its samples have left the window. The sensors share it equally; with a window, one half is
+        for the one-sample test and one half for the onsets. By Bonferroni it is a bound, for a correct model.
+    max_faults : int, optional
+        Sensors that may be excluded at once (None: what the plant's redundancy allows, half of the sensors or fewer, see
+        `redundancy`; `inspect` states it, and `Decision.capped` where it binds).
+    accommodate : bool, default True
+        Leave out isolated sensors; without it the statistics are those of the filter on all sensors, for sweeps over the
+        threshold.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import run, simulate
+    >>> from fusion_sfdia.detectors import LeaveOneOutBank
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> bank = LeaveOneOutBank(two_tanks())
+    >>> recording = simulate(bank.plant, 40, seeds=[1])
+    >>> y = recording.y[:, 0] + (recording.t > 100)[:, None] * [0.2, 0.0, 0.0, 0.0]
+    >>> run(bank, bank.init(), recording.t, y, recording.u)[1].isolated[-1].tolist()
+    [True, False, False, False]
     """
 
     estimator: Estimator = field(default_factory=Extended)

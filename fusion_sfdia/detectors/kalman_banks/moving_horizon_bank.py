@@ -43,9 +43,29 @@ class MovingHorizonMemory(NamedTuple):
 
 @dataclass(frozen=True)
 class MovingHorizon(LeaveOneOutBank):
-    """Moving-horizon estimation with an L1 penalty on faults, on one central filter; settings as of LeaveOneOutBank.
+    """Moving-horizon estimation with an L1 penalty on faults, on one central filter.
 
-    window: largest number of samples in a horizon. false_alarm: shared equally by sensors and horizons (Bonferroni).
+    Parameters
+    ----------
+    window : int, default 15
+        Largest number of samples in a horizon.
+    false_alarm : float, default 1e-3
+        Shared equally by sensors and horizons (Bonferroni).
+
+    Notes
+    -----
+    The other settings are those of LeaveOneOutBank.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import run, simulate
+    >>> from fusion_sfdia.detectors import MovingHorizon
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> bank = MovingHorizon(two_tanks())
+    >>> recording = simulate(bank.plant, 40, seeds=[1])
+    >>> y = recording.y[:, 0] + (recording.t > 100)[:, None] * [0.2, 0.0, 0.0, 0.0]
+    >>> run(bank, bank.init(), recording.t, y, recording.u)[1].isolated[-1].tolist()
+    [True, False, False, False]
     """
 
     def __post_init__(self) -> None:

@@ -58,9 +58,29 @@ class MultipleModelMemory(NamedTuple):
 class MultipleModel(BatchDetector):
     """GPB1 over N + 1 modes on an extended filter (or an unscented one with redraw).
 
-    inflation: noise of a faulty sensor over that of a healthy one. fault_probability: probability that a fault begins in a
-    step; see the module for false alarms. duration: mean duration of a fault in samples. Readings are weighted by the
-    probability that their sensor is healthy, so the estimate depends on no threshold.
+    Readings are weighted by the probability that their sensor is healthy, so the estimate depends on no threshold.
+
+    Parameters
+    ----------
+    estimator : Estimator, default Extended()
+        The kind of filter.
+    inflation : float, default 10
+        Noise of a faulty sensor over that of a healthy one.
+    fault_probability : float, default 1e-3
+        Probability that a fault begins in a step; see the module for false alarms.
+    duration : float, default 100
+        Mean duration of a fault in samples.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import run, simulate
+    >>> from fusion_sfdia.detectors import MultipleModel
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> detector = MultipleModel(two_tanks())
+    >>> recording = simulate(detector.plant, 40, seeds=[1])
+    >>> y = recording.y[:, 0] + (recording.t > 100)[:, None] * [0.2, 0.0, 0.0, 0.0]
+    >>> run(detector, detector.init(), recording.t, y, recording.u)[1].isolated[-1].tolist()
+    [True, False, False, False]
     """
 
     estimator: Estimator = field(default_factory=Extended)

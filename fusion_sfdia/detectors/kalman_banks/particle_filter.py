@@ -48,8 +48,29 @@ class ParticleFilter(BatchDetector):
     times a normal quantile at the probability `false_alarm` per step over all sensors (Bonferroni); only nominal where its
     distribution is far from normal. The sensor with the largest ratio is isolated and left out, until no ratio exceeds 1.
 
-    size: number of particles. max_faults: sensors that may be isolated in a step (None: what the plant's redundancy allows).
-    accommodate: weight the particles without the sensors isolated in this step. Estimate and covariance are weighted moments.
+    Estimate and covariance are weighted moments.
+
+    Parameters
+    ----------
+    size : int, default 1000
+        Number of particles.
+    false_alarm : float, default 1e-3
+        Probability of an alarm per step over all sensors.
+    max_faults : int, optional
+        Sensors that may be isolated in a step (None: what the plant's redundancy allows).
+    accommodate : bool, default True
+        Weight the particles without the sensors isolated in this step.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import run, simulate
+    >>> from fusion_sfdia.detectors import ParticleFilter
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> detector = ParticleFilter(two_tanks(), size=200)
+    >>> recording = simulate(detector.plant, 30, seeds=[1])
+    >>> y = recording.y[:, 0] + (recording.t > 100)[:, None] * [0.5, 0.0, 0.0, 0.0]
+    >>> run(detector, detector.init(), recording.t, y, recording.u)[1].isolated[-1].tolist()
+    [True, False, False, False]
     """
 
     size: int = 1000

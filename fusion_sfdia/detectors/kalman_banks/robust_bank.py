@@ -117,17 +117,44 @@ USUAL = 1.0  # of the prior standard deviation of a parameter or input: so much 
 class RobustBank(ExcludingBank):
     """Leave-one-out bank with competing hypotheses about sensors and process.
 
-    window, memory: samples in which the onset of a bias, jump or error of an equation, and that of a ramp or drift, is sought.
-    false_alarm: probability that an alarm of the sensors begins in one step, as of `LeaveOneOutBank`: a tenth for readings that
-    are too quiet, the rest in equal parts for the sample and the windows; process_false_alarm: the same of the process
-    hypotheses. By Bonferroni both are bounds, for a correct model. sensor_margin, process_margin: by how much the evidence
-    (twice a logarithm of a likelihood ratio) of a sensor must exceed that of the process, and the reverse. smallest: size, over
-    the noise of a sensor, below which the windows isolate no sensor, since a model errs by as much: the alarm is undecided. A
-    parameter or input must differ by `USUAL` of its prior standard deviation.
-    max_faults: sensors that may be left out at once (None: what the plant's redundancy allows, half of the
-    sensors or fewer, see `redundancy`; `inspect` states it, and `Decision.capped` where it binds).
-    accommodate: leave out isolated sensors and follow the process; without it the statistics are those of one filter, for
-    sweeps over the threshold.
+    Parameters
+    ----------
+    window : int, default 32
+        Samples in which the onset of a bias, jump or error of an equation is sought.
+    memory : int, default 256
+        Samples in which the onset of a ramp or drift is sought.
+    false_alarm : float, default 1e-3
+        Probability that an alarm of the sensors begins in one step, as of `LeaveOneOutBank`: a tenth for readings that are too
+        quiet, the rest in equal parts for the sample and the windows. By Bonferroni it is a bound, for a correct model.
+    process_false_alarm : float, default 1e-5
+        The same of the process hypotheses.
+    sensor_margin : float, default 3
+        By how much the evidence (twice a logarithm of a likelihood ratio) of a sensor must exceed that of the process.
+    process_margin : float, default 10
+        By how much the evidence of the process must exceed that of a sensor.
+    smallest : float, default 2
+        Size, over the noise of a sensor, below which the windows isolate no sensor, since a model errs by as much: the alarm is
+        undecided. A parameter or input must differ by `USUAL` of its prior standard deviation.
+    max_faults : int, optional
+        Sensors that may be left out at once (None: what the plant's redundancy allows, half of the sensors or fewer, see
+        `redundancy`; `inspect` states it, and `Decision.capped` where it binds).
+    accommodate : bool, default True
+        Leave out isolated sensors and follow the process; without it the statistics are those of one filter, for sweeps over
+        the threshold.
+    estimator : Extended, default Extended()
+        The filter.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import run, simulate
+    >>> from fusion_sfdia.detectors import RobustBank
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> bank = RobustBank(two_tanks())
+    >>> recording = simulate(bank.plant, 100, seeds=[1])
+    >>> y = recording.y[:, 0] + (recording.t > 300)[:, None] * [0.2, 0.0, 0.0, 0.0]
+    >>> decisions = run(bank, bank.init(), recording.t, y, recording.u)[1]
+    >>> decisions.isolated[-1].tolist(), bool(decisions.process[-1].any())
+    ([True, False, False, False], False)
     """
 
     window: int = 32

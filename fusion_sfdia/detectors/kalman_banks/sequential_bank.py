@@ -61,14 +61,33 @@ class SequentialMemory(NamedTuple):
 class SequentialBank(ExcludingBank):
     """Sequential tests of every sensor on one central filter (extended or unscented with redraw).
 
-    rules: the tests of z; an alarm of any rule is an alarm.
-    leave_one_out: z from the model and the other readings; otherwise from the model alone.
-    false_alarm: probability that an alarm begins in one step with healthy sensors, shared equally by the sensors and rules
-    (Bonferroni). It is a bound for a correct model, if the limits of the rules are exact.
-    max_faults: sensors that may be excluded at once (None: what the plant's redundancy allows, half of the
-    sensors or fewer, see `redundancy`; `inspect` states it, and `Decision.capped` where it binds).
-    accommodate: leave out isolated sensors; without it the statistics are those of the filter on all sensors, and no memory
-    restarts.
+    Parameters
+    ----------
+    rules : tuple of SequentialRule, default (Shewhart(),)
+        The tests of z; an alarm of any rule is an alarm.
+    leave_one_out : bool, default True
+        z from the model and the other readings; otherwise from the model alone.
+    estimator : Estimator, default Extended()
+        The kind of filter.
+    false_alarm : float, default 1e-3
+        Probability that an alarm begins in one step with healthy sensors, shared equally by the sensors and rules (Bonferroni).
+        It is a bound for a correct model, if the limits of the rules are exact.
+    max_faults : int, optional
+        Sensors that may be excluded at once (None: what the plant's redundancy allows, half of the sensors or fewer, see
+        `redundancy`; `inspect` states it, and `Decision.capped` where it binds).
+    accommodate : bool, default True
+        Leave out isolated sensors; without it the statistics are those of the filter on all sensors, and no memory restarts.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import run, simulate
+    >>> from fusion_sfdia.detectors import Cusum, SequentialBank, Shewhart
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> bank = SequentialBank(two_tanks(), rules=(Shewhart(), Cusum()))
+    >>> recording = simulate(bank.plant, 40, seeds=[1])
+    >>> y = recording.y[:, 0] + (recording.t > 100)[:, None] * [0.2, 0.0, 0.0, 0.0]
+    >>> run(bank, bank.init(), recording.t, y, recording.u)[1].isolated[-1].tolist()
+    [True, False, False, False]
     """
 
     rules: tuple[SequentialRule, ...] = (Shewhart(),)

@@ -38,7 +38,15 @@ class SequentialRule(Protocol):
 
 @dataclass(frozen=True)
 class Shewhart:
-    """The present sample alone; its limit is a Gaussian quantile."""
+    """The present sample alone; its limit is a Gaussian quantile.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.detectors import Shewhart
+    >>> rule = Shewhart()
+    >>> round(float(rule.limit(rule.start((), 4), 0.0027)[0]), 2)  # three standard deviations
+    3.0
+    """
 
     def start(self, batch: tuple[int, ...], sensors: int) -> Array:
         return np.zeros((*batch, 1, sensors))
@@ -55,7 +63,24 @@ class Shewhart:
 
 @dataclass(frozen=True)
 class SumOfSquares:
-    """The last `length` samples, with the chi-square quantile of the number of samples so far: exact for white z."""
+    """The last `length` samples, with the chi-square quantile of the number of samples so far: exact for white z.
+
+    Parameters
+    ----------
+    length : int, default 15
+        Samples.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion_sfdia.detectors import SumOfSquares
+    >>> rule = SumOfSquares(length=10)
+    >>> memory = rule.start((), sensors=1)
+    >>> for z in (0.5, 2.0, 1.5):
+    ...     memory = rule.advance(memory, np.array([z]))
+    >>> rule.statistic(memory).round(2), rule.limit(memory, share=1e-3).round(2)
+    (array([2.55]), array([4.03]))
+    """
 
     length: int = 15
 
@@ -80,8 +105,26 @@ class SumOfSquares:
 class Cusum:
     """Two-sided cumulative sum for a shift of the mean by `shift` standard deviations, for which k = shift / 2 is optimal.
 
+    Parameters
+    ----------
+    shift : float, default 1
+        In standard deviations of z.
+
+    Notes
+    -----
     The limit h gives each sum a mean time between false alarms of 2 / share, by Siegmund's (1985) approximation of its run
     length, (exp(2 k b) - 2 k b - 1) / (2 k^2) with b = h + 1.166. It is accurate to some per cent for white z, and not a bound.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion_sfdia.detectors import Cusum
+    >>> rule = Cusum(shift=0.5)
+    >>> memory = rule.start((), sensors=1)
+    >>> for z in (0.5, 2.0, 1.5):
+    ...     memory = rule.advance(memory, np.array([z]))
+    >>> rule.statistic(memory).round(2), rule.limit(memory, share=1e-3).round(2)
+    (array([3.25]), array([9.93]))
     """
 
     shift: float = 1.0
@@ -108,7 +151,25 @@ class Cusum:
 class Ewma:
     """Exponentially weighted moving average with the weight of Lucas and Saccucci (1990) for shifts of about one sigma.
 
+    Parameters
+    ----------
+    lam : float, default 0.2
+        Weight of the present sample.
+
+    Notes
+    -----
     Its variance grows with its samples, v <- (1 - lam)^2 v + lam^2; the limit is a Gaussian quantile, exact for white z.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion_sfdia.detectors import Ewma
+    >>> rule = Ewma(lam=0.1)
+    >>> memory = rule.start((), sensors=1)
+    >>> for z in (0.5, 2.0, 1.5):
+    ...     memory = rule.advance(memory, np.array([z]))
+    >>> rule.statistic(memory).round(2), rule.limit(memory, share=1e-3).round(2)
+    (array([2.36]), array([3.29]))
     """
 
     lam: float = 0.2

@@ -39,9 +39,27 @@ SEEN = 0.01  # below it an input would be estimated ten times less accurately th
 
 @dataclass(frozen=True)
 class UnknownInputFilter(SequentialBank):
-    """Leave-one-out tests that are independent of errors of the inputs; settings as of SequentialBank.
+    """Leave-one-out tests that are independent of errors of the inputs.
 
-    Raises NotApplicableError for a plant without an input that moves a reading within a step from x0.
+    Raises
+    ------
+    NotApplicableError
+        For a plant without an input that moves a reading within a step from x0.
+
+    Notes
+    -----
+    The settings are those of SequentialBank.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import run, simulate
+    >>> from fusion_sfdia.detectors import UnknownInputFilter
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> bank = UnknownInputFilter(two_tanks())
+    >>> recording = simulate(bank.plant, 40, seeds=[1])
+    >>> decisions = run(bank, bank.init(), recording.t, recording.y[:, 0], 2 * recording.u)[1]  # the inflow is misread
+    >>> bool(decisions.isolated.any())
+    False
     """
 
     def __post_init__(self) -> None:

@@ -64,21 +64,53 @@ class ChebyshevMemory(NamedTuple):
 class Chebyshev(BatchDetector):
     """Stochastic thresholds; hypotheses are the sensors.
 
-    lam: filter parameter, 0 <= lam < 1, the share of a residual in the next one; thresholds are tightest with 0.
-    mode: "corrected", or "paper" for (15) and (17) as printed. rule: of `threshold_rules`.
-    alpha: thresholds in standard deviations, one number or one for each sensor. false_alarm, instead of alpha: the largest
-    probability of a false alarm of a diagnoser in a step, shared by its sensors. With neither, alpha is 2 as in B18, or 1 with
-    the rule "bound", whose thresholds are the largest effect of bounded noise (bounded_readings, one diagnoser for the whole
-    plant). The rule "conformal" needs alpha from `fit_thresholds`.
-    moments: E and Var of f(x) - f(y) for a plant without areas. Unscented(): sigma points, such as the cubature rule, whose
-    sums do not cancel. Extended(): the tangent, exact for linear physics. MonteCarlo(): random draws.
-    confirmations: steps in a row for which a residual must have exceeded its threshold before a sensor is isolated.
-    max_faults: sensors that may be left out at once (None: what the plant's redundancy allows); no further sensor is isolated
-    where more would be left out.
-    accommodate: leave out isolated sensors; without it no sensor is isolated.
+    Parameters
+    ----------
+    lam : float, default 0.3
+        Filter parameter, 0 <= lam < 1, the share of a residual in the next one; thresholds are tightest with 0. The default is
+        that of B18, sec. VIII.
+    mode : str, default "corrected"
+        "corrected", or "paper" for (15) and (17) as printed.
+    rule : str, default "chebyshev"
+        Of `threshold_rules`. The rule "conformal" needs alpha from `fit_thresholds`.
+    alpha : float or sequence of float (N,), optional
+        Thresholds in standard deviations, one number or one for each sensor. With neither alpha nor false_alarm, alpha is 2 as
+        in B18, or 1 with the rule "bound", whose thresholds are the largest effect of bounded noise (bounded_readings, one
+        diagnoser for the whole plant).
+    false_alarm : float, optional
+        Instead of alpha: the largest probability of a false alarm of a diagnoser in a step, shared by its sensors.
+    moments : Estimator, default Unscented(CUBATURE)
+        E and Var of f(x) - f(y) for a plant without areas. Unscented(): sigma points, such as the cubature rule, whose sums do
+        not cancel. Extended(): the tangent, exact for linear physics. MonteCarlo(): random draws.
+    confirmations : int, default 1
+        Steps in a row for which a residual must have exceeded its threshold before a sensor is isolated.
+    max_faults : int, optional
+        Sensors that may be left out at once (None: what the plant's redundancy allows); no further sensor is isolated where
+        more would be left out.
+    accommodate : bool, default True
+        Leave out isolated sensors; without it no sensor is isolated.
 
-    residual and threshold: as of (13), y - y_hat; its mean is subtracted from the estimate, not from the thresholds.
-    Raises ValueError for settings that are inconsistent.
+    Raises
+    ------
+    ValueError
+        For settings that are inconsistent.
+
+    Notes
+    -----
+    Boem et al. 2018 (B18). residual and threshold: as of (13), y - y_hat; its mean is subtracted from the estimate, not from
+    the thresholds.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import run, simulate
+    >>> from fusion_sfdia.detectors import Chebyshev
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> detector = Chebyshev(two_tanks(), alpha=5.0)
+    >>> recording = simulate(detector.plant, 40, seeds=[1])
+    >>> y = recording.y[:, 0] + (recording.t > 100)[:, None] * [0.5, 0.0, 0.0, 0.0]
+    >>> decisions = run(detector, detector.init(), recording.t, y, recording.u)[1]
+    >>> float(recording.t[decisions.isolated[:, 0]][0])
+    105.0
     """
 
     lam: float = PAPER_LAMBDA
@@ -115,8 +147,24 @@ class Chebyshev(BatchDetector):
     def fit_thresholds(self, healthy: Any, false_alarm: float = 1e-3, warm_up: int = 20) -> Self:
         """The detector with the rule "conformal": alpha of each sensor from healthy readings (see `conformal_alpha`).
 
-        healthy: as in `fit`. false_alarm: rate per step of a diagnoser, shared equally by its sensors. The first `warm_up`
-        samples are left out. Raises ValueError where there are too few samples.
+        Parameters
+        ----------
+        healthy : Recording, Log, frame or tuple
+            As in `fit`.
+        false_alarm : float, default 1e-3
+            Rate per step of a diagnoser, shared equally by its sensors.
+        warm_up : int, default 20
+            Samples that are left out at the beginning.
+
+        Returns
+        -------
+        Self
+            The fitted detector.
+
+        Raises
+        ------
+        ValueError
+            Where there are too few samples.
         """
         t, y, u = self._healthy(healthy, false_alarm, warm_up)
         plain = replace(self, rule="gaussian", alpha=1.0, false_alarm=None, accommodate=False, threshold_scale=1.0)

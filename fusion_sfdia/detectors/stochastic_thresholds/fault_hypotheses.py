@@ -63,11 +63,45 @@ class Isolation(NamedTuple):
 class FaultHypotheses:
     """The hypotheses of one area.
 
-    faults: by name phi(x (..., n), u (...), e (...)) -> (..., n), the term that a fault adds to the next state.
-    areas: of the present network; after a switch `replace` them, the state remains valid.
-    lam, mode: as in the detection. alpha: thresholds in standard deviations. rule: bounds the false alarms under alpha.
-    confirmations: p. patience: steps until the time-out.
-    Raises ValueError for inconsistent settings, and for a fault function that does not give (..., n) finite numbers.
+    Parameters
+    ----------
+    areas : Areas
+        Of the present network; after a switch `replace` them, the state remains valid.
+    area : str
+        The name of the area.
+    faults : mapping of str to callable
+        By name phi(x (..., n), u (...), e (...)) -> (..., n), the term that a fault adds to the next state.
+    lam : float, default 0.3
+        As in the detection.
+    alpha : float, default 2
+        Thresholds in standard deviations.
+    rule : str, default "chebyshev"
+        Bounds the false alarms under alpha.
+    mode : str, default "corrected"
+        As in the detection.
+    confirmations : int, default 3
+        p, steps in a row of which one residual must exceed its threshold to exclude a hypothesis.
+    patience : int, default 30
+        Steps until the time-out.
+
+    Raises
+    ------
+    ValueError
+        For inconsistent settings, and for a fault function that does not give (..., n) finite numbers.
+
+    Notes
+    -----
+    Boem et al. 2018, sec. IV, the generalised observer scheme; see the module for what is guaranteed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion_sfdia.detectors import FaultHypotheses
+    >>> from fusion_sfdia.plants import power_network
+    >>> areas = power_network(loads=()).structure.areas
+    >>> faults = {"half of the load": lambda x, u, e: 0.5 * e[..., None] * np.array([0.0, 0.1, 0.0, 0.0])}
+    >>> FaultHypotheses(areas, "4", faults, alpha=3.0).answers
+    ('half of the load', 'none of these', 'not isolated', 'undecided')
     """
 
     areas: Areas
@@ -119,21 +153,60 @@ class FaultHypotheses:
         return opposite
 
     def false_exclusion(self, steps: int | None = None) -> float:
-        """Bound of the probability to exclude the true hypothesis within `steps` (None: `patience`); 1 in mode "paper"."""
+        """Bound of the probability to exclude the true hypothesis within a number of steps.
+
+        Parameters
+        ----------
+        steps : int, optional
+            None: `patience`.
+
+        Returns
+        -------
+        float
+            floor(steps / p) n r at most, see the module; 1 in mode "paper".
+        """
         blocks = (self.patience if steps is None else whole("steps", steps, 0)) // self.confirmations
         rate = false_alarm_of(self.rule, self.alpha) * self.areas.size[1]
         return min(1.0, blocks * rate) if self.mode == "corrected" else 1.0
 
     def idle(self, runs: int) -> Isolation:
-        """Return the state of runs without a detection."""
+        """Return the state of runs without a detection.
+
+        Parameters
+        ----------
+        runs : int
+            B, their number.
+
+        Returns
+        -------
+        Isolation
+            Not started.
+        """
         shape = runs, len(self.faults)
         z = np.zeros((*shape, self.areas.size[1] + self._sides.size))
         return Isolation(z, z, z, z, np.zeros(shape, int), np.zeros(shape, bool), np.full(runs, -1))
 
     def begin(self, state: Isolation, runs: Array, now: Diagnosers) -> Isolation:
-        """Start or restart the runs chosen by `runs` (B,) bool, from the memory of the diagnosers after their alarm.
+        """Start or restart runs, from the memory of the diagnosers after their alarm.
 
-        ValueError for diagnosers that estimate unread states.
+        Parameters
+        ----------
+        state : Isolation
+            Of all runs.
+        runs : array (B,) of bool
+            Those that start.
+        now : Diagnosers
+            The memory of the detection.
+
+        Returns
+        -------
+        Isolation
+            Started in these runs.
+
+        Raises
+        ------
+        ValueError
+            For diagnosers that estimate unread states.
         """
         if now.covariance.size:
             raise ValueError(
@@ -151,10 +224,27 @@ class FaultHypotheses:
         )
 
     def step(self, state: Isolation, before: Diagnosers, reference: Array, load: Array, own: Array, shared: Array) -> Isolation:
-        """Return the state after the next readings own (B, N, n), shared (B, 2E), NaN where missing, under reference and load
-        (B, N).
+        """Return the state after the next readings.
 
-        before: the diagnosers of the detection before these readings, with the area's readings of its neighbours.
+        Parameters
+        ----------
+        state : Isolation
+            Before these readings.
+        before : Diagnosers
+            Those of the detection before these readings, with the area's readings of its neighbours.
+        reference : array (B, N)
+            Reference of each area that acted until then.
+        load : array (B, N)
+            Load of each area that acted until then.
+        own : array (B, N, n)
+            Readings of the areas' states, NaN where missing.
+        shared : array (B, 2E)
+            Readings of the neighbours' first states at the sides of the links, NaN where missing.
+
+        Returns
+        -------
+        Isolation
+            After these readings.
         """
         estimate, deviation, error_bound = self._predict(state, before, reference, load)
         y, n = self._of_area(own, shared), own.shape[-1]
@@ -170,7 +260,18 @@ class FaultHypotheses:
         return Isolation(held, error_bound, residual, deviation, exceeded, excluded, age)
 
     def answer(self, state: Isolation) -> Array:
-        """Return indices (B,) into `answers`."""
+        """Return what stands of each run.
+
+        Parameters
+        ----------
+        state : Isolation
+            Of B runs.
+
+        Returns
+        -------
+        array (B,) of int
+            Indices into `answers`.
+        """
         none = len(self.faults)
         remaining = ~state.excluded
         count, one = remaining.sum(axis=-1), np.argmax(remaining, axis=-1)

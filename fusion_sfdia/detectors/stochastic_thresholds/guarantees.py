@@ -91,8 +91,40 @@ def margins(phi: Array, deviation: Array, lam: float, alpha: Any, mode: str = "c
 def detectable(detector: Chebyshev, faulty: Any, healthy: Any = None) -> Margins:
     """How far a fault is beyond what is detected for certain, (33), at each time.
 
-    faulty: readings with the fault and without noise, a Log, a Recording of one run or a frame. healthy: the same without the
-    fault, where the truth is not the detector's model, so that residuals are not 0 then. ValueError for data that do not fit.
+    Parameters
+    ----------
+    detector : Chebyshev
+        With its thresholds.
+    faulty : Log, Recording or frame
+        Readings with the fault and without noise, of one run.
+    healthy : Log, Recording or frame, optional
+        The same without the fault, where the truth is not the detector's model, so that residuals are not 0 then.
+
+    Returns
+    -------
+    Margins
+        ratio (K, N): what the fault adds to each residual over what (33) asks.
+
+    Raises
+    ------
+    ValueError
+        For data that do not fit.
+
+    Notes
+    -----
+    Boem et al. 2018, sec. V.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import Log, simulate
+    >>> from fusion_sfdia.detectors import Chebyshev, detectable
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> recording = simulate(plant, 40, seeds=[1], truth="model")
+    >>> faulty = recording.signal[:, 0] + (recording.t > 100)[:, None] * [0.5, 0.0, 0.0, 0.0]
+    >>> margins = detectable(Chebyshev(plant, alpha=3.0), Log(recording.t, faulty, recording.u))
+    >>> float(recording.t[margins.certain.any(axis=-1)][0])
+    105.0
     """
     log = one_run(as_log(detector.plant, faulty))
     residual, deviation = _residuals(detector, log)
@@ -108,8 +140,32 @@ def detectable(detector: Chebyshev, faulty: Any, healthy: Any = None) -> Margins
 def excludable(hypotheses: Mapping[str, Chebyshev], faulty: Any) -> dict[str, Margins]:
     """Of each hypothesis how far the fault is beyond what excludes it for certain, (38), (39).
 
-    hypotheses: by name, the detector on the plant with that fault in its model. faulty: readings with the true fault and
-    without noise, as for `detectable`; its own hypothesis has a ratio of 0.
+    Parameters
+    ----------
+    hypotheses : mapping of str to Chebyshev
+        By name, the detector on the plant with that fault in its model.
+    faulty : Log, Recording or frame
+        Readings with the true fault and without noise, as for `detectable`; its own hypothesis has a ratio of 0.
+
+    Returns
+    -------
+    dict of str to Margins
+        By the same names; a ratio above 1 excludes the hypothesis for certain.
+
+    Notes
+    -----
+    Boem et al. 2018, sec. V.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import Log, simulate
+    >>> from fusion_sfdia.detectors import Chebyshev, excludable
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> hypotheses = {f"outlets {outlet:.0%}": Chebyshev(two_tanks(outlet=outlet), alpha=3.0) for outlet in (0.8, 1.2)}
+    >>> wide = simulate(two_tanks(outlet=1.2), 40, seeds=[1], truth="model")
+    >>> found = excludable(hypotheses, Log(wide.t, wide.signal[:, 0], wide.u_of_runs[:, 0]))
+    >>> {name: bool((margins.ratio[-1] > 1).any()) for name, margins in found.items()}
+    {'outlets 80%': True, 'outlets 120%': False}
     """
     return {name: detectable(matched, faulty) for name, matched in hypotheses.items()}
 
@@ -147,11 +203,40 @@ def exceeds_next(phi: Array, residual: Array, before: Array, after: Array, lam: 
 
 
 def exclusion_error(residual: Array, deviation: Array, rule: str = "chebyshev", prior: Sequence[float] | None = None) -> Array:
-    """(36): how likely it is at most to exclude a true hypothesis that has this residual, (..., L) of residuals (..., L, n).
+    """(36): how likely it is at most to exclude a true hypothesis that has this residual.
 
-    residual, deviation (..., L, n): e_l and s_l; of the n readings of a hypothesis the largest counts, with Bonferroni's factor
-    n. prior (L,): how likely each hypothesis is; then the probability that it is true and excluded, their sum is that of any
-    wrong exclusion. ValueError for a prior that is none, and for a rule that does not give a probability.
+    Parameters
+    ----------
+    residual : array (..., L, n)
+        e_l of L hypotheses; of the n readings of a hypothesis the largest counts, with Bonferroni's factor n.
+    deviation : array (..., L, n)
+        s_l, in the same unit.
+    rule : str, default "chebyshev"
+        Of `threshold_rules`.
+    prior : sequence of float (L,), optional
+        How likely each hypothesis is; then the result is the probability that it is true and excluded, and their sum is that of
+        any wrong exclusion.
+
+    Returns
+    -------
+    array (..., L)
+        Probabilities.
+
+    Raises
+    ------
+    ValueError
+        For a prior that is none, and for a rule that does not give a probability.
+
+    Notes
+    -----
+    Boem et al. 2018, sec. V.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion_sfdia.detectors import exclusion_error
+    >>> exclusion_error(np.array([[0.5], [2.0]]), np.array([[0.1], [0.1]])).round(4)
+    array([0.04  , 0.0025])
     """
     e, s = floats("residual", residual), floats("deviation", deviation)
     require_rule(rule)

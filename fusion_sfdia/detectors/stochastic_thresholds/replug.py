@@ -32,8 +32,36 @@ Array = NDArray[Any]
 def replug(detector: Chebyshev, state: State, plant: Plant) -> tuple[Chebyshev, State]:
     """Return the detector on the changed plant and its state; the given objects do not change, even where this raises.
 
-    Raises ValueError where the plant has other states or sensors (an unplugged area keeps them, without readings), where its
-    areas differ in more than the network, and for a state of another detector.
+    Parameters
+    ----------
+    detector : Chebyshev
+        On the plant before the change.
+    state : State
+        After the step at which the network changes.
+    plant : Plant
+        After the change.
+
+    Returns
+    -------
+    detector : Chebyshev
+        On the changed plant.
+    state : State
+        From which it goes on.
+
+    Raises
+    ------
+    ValueError
+        Where the plant has other states or sensors (an unplugged area keeps them, without readings), where its areas differ in
+        more than the network, and for a state of another detector.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.detectors import Chebyshev, replug
+    >>> from fusion_sfdia.plants import power_network
+    >>> whole = Chebyshev(power_network(loads=()))
+    >>> without_4, state = replug(whole, whole.init(), power_network(loads=(), unplugged=["4"]))
+    >>> len(without_4.hypotheses) == len(whole.hypotheses)
+    True
     """
     now = detector.plant
     if plant.sensor_names != now.sensor_names or [s.name for s in plant.states] != [s.name for s in now.states]:

@@ -48,14 +48,35 @@ class StructuralMemory(NamedTuple):
 class StructuralResiduals(BatchDetector):
     """Residuals of a plant that states its scalar equations, each with a limit, in standard deviations of its target's noise.
 
-    limits: (R,), see `fit`. A residual is computed when none of its readings is missing, and is CONTRADICTION where its
-    equations have no value at them; its states are integrated with the last readings in place of missing ones. The
-    residual reported for a sensor has the largest ratio to its limit among those that read it, in deviations of its own noise.
+    A residual is computed when none of its readings is missing, and is CONTRADICTION where its equations have no value at them;
+    its states are integrated with the last readings in place of missing ones. The residual reported for a sensor has the
+    largest ratio to its limit among those that read it, in deviations of its own noise.
 
+    Parameters
+    ----------
+    residuals : tuple of Residual (R,)
+        Those that are computed.
+    limits : array (R,)
+        In standard deviations, see `fit`.
+    max_faults : int, default 3
+        Sensors of a diagnosis at most.
+
+    Notes
+    -----
     isolated: the smallest diagnosis of the residuals beyond their limits, of at most max_faults sensors, if it is unique;
     else none. A residual within its limit exonerates no sensor: how much of a fault it shows depends on the
     equations and on time. reconstruction: of isolated and missing readings the value computed without them, or else the last
     trusted, at first nominal. fault_size: reading less reconstruction. No state is estimated: estimate is the plant's x0.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import simulate
+    >>> from fusion_sfdia.detectors import StructuralResiduals
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> detector = StructuralResiduals.fit(plant, simulate(plant, 200, seeds=range(4), process_noise=True), false_alarm=0.01)
+    >>> detector.limits.shape == (len(detector.residuals),)
+    True
     """
 
     residuals: tuple[Residual, ...]
@@ -79,14 +100,36 @@ class StructuralResiduals(BatchDetector):
 
     @classmethod
     def fit(cls, plant: Plant, healthy: Any, false_alarm: float = 1e-3, **settings: Any) -> Self:
-        """The selected residuals with limits from healthy readings, plant.dt apart, in any form that `as_log` takes, at a rate
-        of false alarms per step over all residuals.
+        """The selected residuals with limits from healthy readings, at a rate of false alarms per step over all residuals.
 
         A limit is the residual's unit times a common factor. Of every other sample in time: the unit is the order statistic
         that the residual exceeds with its share of the rate. Of the rest: the factor is the order statistic of the largest
-        residual in these units. Samples with a missing reading are left out. NotApplicableError for a plant that does not state
-        its scalar equations or has no residual, MissingPackageError without faultdiagnosistoolbox, another ValueError for data
-        that do not fit or are too few.
+        residual in these units. Samples with a missing reading are left out.
+
+        Parameters
+        ----------
+        plant : Plant
+            Which states its scalar equations.
+        healthy : Recording, Log, frame or tuple
+            Readings plant.dt apart, in any form that `as_log` takes.
+        false_alarm : float, default 1e-3
+            The rate.
+        **settings
+            Of the detector, by name.
+
+        Returns
+        -------
+        Self
+            The fitted detector.
+
+        Raises
+        ------
+        NotApplicableError
+            For a plant that does not state its scalar equations or has no residual.
+        MissingPackageError
+            Without faultdiagnosistoolbox.
+        ValueError
+            For data that do not fit or are too few.
         """
         probability("false_alarm", false_alarm)
         if not (residuals := selected(plant)):
@@ -111,7 +154,20 @@ class StructuralResiduals(BatchDetector):
         return replace(watcher, limits=limits, fitted_rate=false_alarm)
 
     def trace(self, y: Array, u: Array) -> Array:
-        """Return the residuals (K, ..., R) of readings y (K, ..., N), plant.dt apart, under inputs u (K, ..., m)."""
+        """Return the residuals of readings, plant.dt apart.
+
+        Parameters
+        ----------
+        y : array (K, ..., N)
+            Readings.
+        u : array (K, ..., m)
+            Inputs that acted until then.
+
+        Returns
+        -------
+        array (K, ..., R)
+            In standard deviations.
+        """
         y, u = floats("y", y), floats("u", u)
         if y.ndim < 2 or not y.size or u.shape[:1] != y.shape[:1]:
             raise ValueError(f"y has shape {y.shape}, u {u.shape}; expected (K, ..., sensors) and (K, ..., inputs)")

@@ -65,11 +65,38 @@ class HeldOut(NamedTuple):
 class Commissioning(NamedTuple):
     """What a healthy log has shown.
 
-    plant: the commissioned one. settle: samples that were left out at the beginning of each run. before, after: the plant on
-    the halves that it was not learnt from, without and with what was learnt. kept: the stages that were. parameters,
-    disturbances, noise: what they found in the whole log; None, or empty, where not kept. start: where runs begin, None where
-    as the plant states; first_error: NIS per reading of the first samples of the runs with that. halves: the plants that were
-    learnt from the samples from settle to middle, and from middle on. fits: what these predict.
+    Attributes
+    ----------
+    plant : Plant
+        The commissioned one.
+    settle : int
+        Samples that were left out at the beginning of each run.
+    before : HeldOut
+        The plant on the halves that it was not learnt from, without what was learnt.
+    after : HeldOut
+        The same, with what was learnt.
+    kept : tuple of str
+        The stages that were kept.
+    parameters : ParameterEstimate or None
+        What its stage found in the whole log; None where not kept.
+    disturbances : tuple of FoundDisturbance
+        The same; empty where not kept.
+    noise : Noise or None
+        The same; None where not kept.
+    start : Start or None
+        Where runs begin, None where as the plant states.
+    first_error : float
+        NIS per reading of the first samples of the runs with that start.
+    middle : int
+        The sample at which the second half begins.
+    halves : tuple of (Plant, Plant)
+        The plants that were learnt from the samples from settle to middle, and from middle on.
+    fits : tuple of (FilterScore, FilterScore)
+        What these predict.
+
+    Examples
+    --------
+    See `commissioned`.
     """
 
     plant: Plant
@@ -88,19 +115,69 @@ class Commissioning(NamedTuple):
 
 
 def commission(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Plant:
-    """Return the plant as a healthy log shows it: see `commissioned`, whose report has the reasons."""
+    """Return the plant as a healthy log shows it: see `commissioned`, whose report has the reasons.
+
+    Parameters
+    ----------
+    plant : Plant
+        The model.
+    *healthy : arrays, Log, Recording or frame
+        As of `commissioned`.
+    false_alarm : float, default 1e-3
+        As of `commissioned`.
+
+    Returns
+    -------
+    Plant
+        The commissioned one.
+
+    Raises
+    ------
+    ValueError
+        As `commissioned` does.
+
+    Examples
+    --------
+    See `commissioned`.
+    """
     return commissioned(plant, *healthy, false_alarm=false_alarm).plant
 
 
 def commissioned(plant: Plant, *healthy: Any, false_alarm: float | None = 1e-3, at: At | None = None) -> Commissioning:
     """Adapt a plant to healthy readings of the real one, and report what was found.
 
-    healthy: t (K,), y (K, N) or (K, B, N) of several runs, u, or a Log, a Recording or a frame, see `as_log`. false_alarm: the
-    rate, per step over all sensors, for which thresholds are to be fitted later: `fit` of a detector needs at least
-    1 / false_alarm samples, best of other readings than these; None where a log of any length will do. at: the time of a sample
-    of a run in words, for errors; by default as in t.
-    Raises ValueError for a log that is too short for the plant or the rate, that has a frozen sensor, or in which a bias of one
-    sensor explains what the plant does not.
+    Parameters
+    ----------
+    plant : Plant
+        The model.
+    *healthy : arrays, Log, Recording or frame
+        t (K,), y (K, N) or (K, B, N) of several runs, u, or a Log, a Recording or a frame, see `as_log`.
+    false_alarm : float or None, default 1e-3
+        The rate, per step over all sensors, for which thresholds are to be fitted later: `fit` of a detector needs at least
+        1 / false_alarm samples, best of other readings than these; None where a log of any length will do.
+    at : callable, optional
+        The time of a sample of a run in words, for errors; by default as in t.
+
+    Returns
+    -------
+    Commissioning
+        The plant and what was found.
+
+    Raises
+    ------
+    ValueError
+        For a log that is too short for the plant or the rate, that has a frozen sensor, or in which a bias of one sensor
+        explains what the plant does not.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import simulate
+    >>> from fusion_sfdia.learning import Commissioning, commission, commissioned
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> healthy = simulate(two_tanks(), 300, seeds=[3], truth=two_tanks(outlet=0.9))
+    >>> found: Commissioning = commissioned(two_tanks(), healthy, false_alarm=None)
+    >>> "parameters" in found.kept, found.after.log_likelihood > found.before.log_likelihood
+    (True, True)
     """
     if false_alarm is not None:
         probability("false_alarm", false_alarm)

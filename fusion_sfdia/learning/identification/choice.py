@@ -31,8 +31,22 @@ LONGEST = 2000  # samples for expectation maximisation, whose time grows with th
 
 
 class Candidate(NamedTuple):
-    """kind: "autoregression" (order: samples of the past), "factors" (their number) or "subspace" (states, by expectation
-    maximisation). quadratic: whether squares of the inputs are inputs, too, so that gains depend on the operation.
+    """A kind of linear model that may be identified.
+
+    Attributes
+    ----------
+    kind : str
+        "autoregression", "factors" or "subspace" (by expectation maximisation).
+    order : int
+        Of an autoregression the samples of the past; of factors their number; of a subspace model the states.
+    quadratic : bool
+        Whether squares of the inputs are inputs, too, so that gains depend on the operation.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.learning import Candidate
+    >>> Candidate("autoregression", 2)
+    Candidate(kind='autoregression', order=2, quadratic=False)
     """
 
     kind: str
@@ -59,9 +73,26 @@ class Score(NamedTuple):
 class ModelChoice:
     """The plant identified from healthy logs, and why this one.
 
-    chosen: the first candidate whose log-likelihood of what was left out is within MARGIN of the largest. scores: of all, the
-    largest first. by:
-    what was left out in turn, "logs" or "stretches". still: sensors that never moved, which are not in the plant.
+    Attributes
+    ----------
+    plant : Plant
+        The identified one.
+    chosen : Candidate
+        The first one whose log-likelihood of what was left out is within MARGIN of the largest.
+    scores : tuple of Score
+        Of all, the largest first.
+    by : str
+        What was left out in turn, "logs" or "stretches".
+    groups : int
+        How many of them.
+    samples : int
+        Number of samples of the logs.
+    still : tuple of str
+        Sensors that never moved, which are not in the plant.
+
+    Examples
+    --------
+    See `choose_model`.
     """
 
     plant: Plant
@@ -110,15 +141,50 @@ def choose_model(
     candidates: Sequence[Candidate] | None = None,
     folds: int = 4,
 ) -> ModelChoice:
-    """Identify a linear plant from several healthy logs: t (K,), y (K, N) with NaN where missing, u (K, m).
+    """Identify a linear plant from several healthy logs.
 
     A log may have gaps; a step that is uneven, or an input that is not known, begins a new run. Of three logs and more whole
     logs are left out, in `folds` groups, else stretches of them. Each candidate is identified from the rest and predicts what
     was left out one step ahead. The first whose likelihood is within MARGIN of the largest is identified from everything; Q and
-    R are scaled so that the normalised innovation squared of what was left out is 1. candidates: None for those of
-    `candidates_for`.
+    R are scaled so that the normalised innovation squared of what was left out is 1.
 
-    ValueError for logs that do not fit the names or are too short for every candidate.
+    Parameters
+    ----------
+    name : str
+        Of the plant.
+    sensors : sequence of Signal (N,)
+        Name and unit of each column of y.
+    healthy : sequence of Log
+        t (K,), y (K, N) with NaN where missing, u (K, m).
+    inputs : sequence of Signal (m,), default ()
+        Name and unit of each column of u.
+    candidates : sequence of Candidate, optional
+        None for those of `candidates_for`.
+    folds : int, default 4
+        Groups that are left out in turn.
+
+    Returns
+    -------
+    ModelChoice
+        The plant, and why this one.
+
+    Raises
+    ------
+    ValueError
+        For logs that do not fit the names or are too short for every candidate.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import Log, Signal, simulate
+    >>> from fusion_sfdia.learning import Candidate, ModelChoice, choose_model
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks(swing=0.2)
+    >>> logs = [Log(r.t, r.y[:, 0], r.u) for r in (simulate(plant, 200, seeds=[seed]) for seed in (4, 5))]
+    >>> choice: ModelChoice = choose_model(
+    ...     "by data", plant.sensors, logs, inputs=[Signal("inflow", "m3/s")], candidates=[Candidate("autoregression", 1)]
+    ... )
+    >>> choice.chosen.kind, choice.by, choice.plant.sensor_names
+    ('autoregression', 'stretches', ('l1', 'l2', 'q12', 'q2'))
     """
     whole("folds", folds, least=2)
     all_runs = runs_of(sensors, inputs, healthy)

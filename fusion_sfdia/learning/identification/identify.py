@@ -37,26 +37,58 @@ def identify(
 ) -> Plant:
     """Return a linear plant x+ = A x + B u + c + w, y = C x + d + v of one healthy recording, w and v independent.
 
-    sensors, inputs: name and unit of each column of y (K, N) and u (K, m) of `healthy`; nominal inputs are their means. Times
-    are equally spaced; a missing reading is NaN. u acts until the reading of its row; where a controller computes it from that
-    very reading, give the row before, or the model predicts the reading's noise from it.
+    Parameters
+    ----------
+    name : str
+        Of the plant.
+    sensors : sequence of Signal (N,)
+        Name and unit of each column of y.
+    healthy : Log or list of Log
+        y (K, N), u (K, m). Times are equally spaced; a missing reading is NaN. u acts until the reading of its row; where a
+        controller computes it from that very reading, give the row before, or the model predicts the reading's noise from it. A
+        list of logs, which may have gaps, is identified by `choose_model`, with its candidates: order, ridge and iterations are
+        of one recording. A sensor that never moves is then not in the plant.
+    inputs : sequence of Signal (m,), default ()
+        Name and unit of each column of u; nominal inputs are their means.
+    order : int or sequence of int, default (2, 4, 8, 12, 16)
+        Number of states; of several, that with the largest likelihood of `folds` stretches of the recording, each left out of
+        its identification in turn. The readings left out also scale Q and R, so that their normalised innovation squared is 1:
+        residuals of the recording itself are too small.
+    folds : int, default 4
+        Stretches.
+    ridge : float, default 5
+        Samples' worth of a prior of zero of A and B; with inputs that feed readings back, a model without it is often unstable.
+    iterations : int, default 60
+        Of the expectation maximisation.
 
+    Returns
+    -------
+    Plant
+        Its states are values without noise of some readings, now or some steps ahead, in the readings' units: rows of the
+        observability matrix by a QR decomposition with pivots. initial_cov is the covariance of the states over the recording.
+
+    Raises
+    ------
+    ValueError
+        For recordings that do not fit the names, are too short, have gaps, or have a signal that never moves.
+
+    Notes
+    -----
     Subspace identification gives innovations e with x+ = A x + K e, y = C x + e, whose noises K e and e are correlated. Here
     its A, B, C only start the expectation maximisation of a model whose Q is full and whose R is diagonal, so that a Kalman
     filter on the plant is the one whose likelihood was maximised. Missing readings need no replacement.
 
-    order: number of states; of several, that with the largest likelihood of `folds` stretches of the recording, each left
-    out of its identification in turn. The readings left out also scale Q and R, so that their normalised innovation squared is
-    1: residuals of the recording itself are too small. ridge: samples' worth of a prior of zero of A and B; with inputs that
-    feed readings back, a model without it is often unstable. iterations: of the expectation maximisation.
-
-    The states are values without noise of some readings, now or some steps ahead, in the readings' units: rows of the
-    observability matrix by a QR decomposition with pivots. initial_cov is the covariance of the states over the recording.
-
-    A list of logs, which may have gaps, is identified by `choose_model`, with its candidates: order, ridge and iterations are
-    of one recording. A sensor that never moves is then not in the plant.
-
-    Raises ValueError for recordings that do not fit the names, are too short, have gaps, or have a signal that never moves.
+    Examples
+    --------
+    >>> from fusion_sfdia import Log, Signal, simulate
+    >>> from fusion_sfdia.learning import identify
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> rig = two_tanks(swing=0.2)
+    >>> recording = simulate(rig, 200, seeds=[4])
+    >>> log = Log(recording.t, recording.y[:, 0], recording.u)
+    >>> plant = identify("by data", rig.sensors, log, inputs=[Signal("inflow", "m3/s")], order=2, iterations=5)
+    >>> len(plant.states), plant.sensor_names
+    (2, ('l1', 'l2', 'q12', 'q2'))
     """
     if isinstance(healthy, list):
         return choose_model(name, sensors, healthy, inputs=inputs, folds=folds).plant

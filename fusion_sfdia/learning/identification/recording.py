@@ -57,10 +57,29 @@ def scaled(sensors: Sequence[Signal], inputs: Sequence[Signal], log: Log) -> Sca
 
 
 def without_repeats(y: Array, repeating: Array) -> Array:
-    """Return y (K, N) with NaN where a sensor of `repeating` (N,) bool has the same reading as in the sample before.
+    """Return y with NaN where a sensor has the same reading as in the sample before.
 
     A sampled analyser repeats its last value until the next analysis: repetitions are no new readings, and their errors are
     the same. An analysis that gives the very same value is left out too, which costs a reading and no more.
+
+    Parameters
+    ----------
+    y : array (K, N)
+        Readings.
+    repeating : array (N,) of bool
+        Sensors that repeat their readings.
+
+    Returns
+    -------
+    array (K, N)
+        y without the repetitions.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion_sfdia.learning import without_repeats
+    >>> without_repeats(np.array([[5.0], [5.0], [7.0]]), np.array([True])).ravel()
+    array([ 5., nan,  7.])
     """
     y = floats("y", y)
     repeated = np.zeros(y.shape, bool)

@@ -18,9 +18,22 @@ Array = NDArray[Any]
 
 
 class WhitenessTest(NamedTuple):
-    """nis: normalised innovation squared per reading, 1 where the covariances are right. Of each sensor (N,): variance of the
-    standardised innovations, 1 as well; autocorrelation, at the sensor's next reading one step later, 0 where white; pairs,
-    the number of products behind it. A white innovation's autocorrelation has the standard error 1 / sqrt(pairs).
+    """Statistics of the innovations of a filter.
+
+    Attributes
+    ----------
+    nis : float
+        Normalised innovation squared per reading, 1 where the covariances are right.
+    variance : array (N,)
+        Of the standardised innovations of each sensor, 1 as well.
+    autocorrelation : array (N,)
+        At the sensor's next reading one step later, 0 where white.
+    pairs : array (N,) of int
+        The number of products behind it. A white innovation's autocorrelation has the standard error 1 / sqrt(pairs).
+
+    Examples
+    --------
+    See `whiteness`.
     """
 
     nis: float
@@ -30,10 +43,30 @@ class WhitenessTest(NamedTuple):
 
 
 def whiteness(plant: Plant, *healthy: Any, warm_up: int = 20) -> WhitenessTest:
-    """Return the statistics of the innovations of the extended Kalman filter after the first `warm_up` samples of one run.
+    """Return the statistics of the innovations of the extended Kalman filter after the first samples of one run.
 
-    healthy: as `as_log` takes it, not the recording that the plant was identified from. A sensor that is read every second
-    sample has no pairs; its autocorrelation is NaN.
+    Parameters
+    ----------
+    plant : Plant
+        The model.
+    *healthy : arrays, Log, Recording or frame
+        As `as_log` takes it, not the recording that the plant was identified from.
+    warm_up : int, default 20
+        Samples that are left out at the beginning.
+
+    Returns
+    -------
+    WhitenessTest
+        A sensor that is read every second sample has no pairs; its autocorrelation is NaN.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import simulate
+    >>> from fusion_sfdia.learning import WhitenessTest, whiteness
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> found: WhitenessTest = whiteness(two_tanks(), simulate(two_tanks(), 300, seeds=[1], truth="model", process_noise=True))
+    >>> 0.8 < found.nis < 1.2, found.variance.shape
+    (True, (4,))
     """
     t, y, u = one_run(as_log(plant, *healthy))
     if len(t) <= whole("warm_up", warm_up, least=0) + 1:

@@ -25,7 +25,32 @@ WIDTH = 110
 class Inspection:
     """What `inspect` found: findings, the mistakes first, and what they rest on; None where it was not examined.
 
-    derivatives: how the Jacobians of step and output are found.
+    Attributes
+    ----------
+    plant : Plant
+        The plant examined.
+    findings : tuple of PlantFinding
+        The mistakes first.
+    derivatives : tuple of (str, str)
+        How the Jacobians of step and output are found.
+    step : Stepping or None
+        The step of the plant.
+    readings : Observability or None
+        What the readings show of the states.
+    theory : IdentifiabilityResult or None
+        Which faults can be distinguished.
+    promise : Promise or None
+        From what size faults are found, by theory.
+    detectors : tuple of Tried
+        What detectors find in simulated runs.
+    structure : Structural or None
+        Redundancy by the scalar equations.
+    healthy : OnHealthy or None
+        What the readings of the real plant show.
+
+    Examples
+    --------
+    See `inspect`.
     """
 
     plant: Plant

@@ -27,8 +27,21 @@ class Calibration:
     """A detector fitted to all healthy logs, with thresholds at which logs that it had not seen were in alarm at most at the
     rate `false_alarm` of their samples.
 
-    counted: the share of the samples of each group of logs in alarm, with a detector fitted without it and thresholds set on
-    the other groups. samples: of each group.
+    Attributes
+    ----------
+    detector : Detector
+        With these thresholds.
+    false_alarm : float
+        The stated rate.
+    counted : tuple of float
+        The share of the samples of each group of logs in alarm, with a detector fitted without it and thresholds set on the
+        other groups.
+    samples : tuple of int
+        Of each group.
+
+    Examples
+    --------
+    See `calibrate`.
     """
 
     detector: Any
@@ -51,13 +64,43 @@ def calibrate(
 ) -> Calibration:
     """Fit a detector to healthy runs and set its thresholds, nested over groups of them.
 
-    fit: gives a detector with a `threshold_scale` from runs. groups: what is left out in turn, of runs without gaps. For each
-    group a detector is fitted to the others. The scale is the order statistic of the scores of all groups, each by the
+    For each group a detector is fitted to the others. The scale is the order statistic of the scores of all groups, each by the
     detector that has not seen it, raised by FACTOR until these detectors, which isolate and readmit, are in alarm in at most
     `false_alarm` of the samples after the first `warm_up` of a run. For the rate that is counted on a group, its own scores
     and alarms are left out of that as well.
 
-    ValueError where there are fewer than two groups, or less than one sample is expected in alarm.
+    Parameters
+    ----------
+    fit : callable
+        Gives a detector with a `threshold_scale` from runs, a sequence of Log.
+    groups : sequence of sequences of Log
+        What is left out in turn, of runs without gaps.
+    false_alarm : float, default 1e-2
+        Share of the samples in alarm.
+    warm_up : int, default 20
+        Samples that are left out at the beginning of each run.
+
+    Returns
+    -------
+    Calibration
+        The detector fitted to all groups, and the rates that were counted.
+
+    Raises
+    ------
+    ValueError
+        Where there are fewer than two groups, or less than one sample is expected in alarm.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import Log, simulate
+    >>> from fusion_sfdia.detectors import CentralFilter
+    >>> from fusion_sfdia.learning import Calibration, calibrate
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> groups = [[Log(r.t, r.y[:, 0], r.u)] for r in (simulate(plant, 200, seeds=[seed]) for seed in range(2))]
+    >>> calibrated: Calibration = calibrate(lambda logs: CentralFilter(plant), groups, false_alarm=0.05)
+    >>> calibrated.rate <= 0.05, calibrated.samples
+    (True, (180, 180))
     """
     probability("false_alarm", false_alarm)
     whole("warm_up", warm_up, least=0)

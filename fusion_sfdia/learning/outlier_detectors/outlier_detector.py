@@ -29,17 +29,52 @@ NOT_APPLICABLE = {
 class SensorFaultDetector(OutlierMixin, BaseEstimator):  # type: ignore[misc]
     """A `LeaveOneOutBank` on a model that is identified from healthy rows; rows are samples in time, at equal steps.
 
-    fit(X): X (K, D) healthy readings and inputs, NaN where missing. predict: 1 for a healthy sample and -1 for one in alarm.
-    score_samples: minus the largest residual over its threshold, or minus 2 at least while a sensor is isolated;
-    decision_function: that plus 1, negative for an alarm. isolated(X) (K, sensors): which sensors. All of these step through
-    X from the initial state of the model: pass a whole run.
+    An outlier detector as scikit-learn has them. All methods but `fit` step through X from the initial state of the model: pass
+    a whole run.
 
-    inputs: positions of the columns that are inputs. kind, order: of the model, see `Candidate`; None for the choice by
-    left-out stretches. false_alarm: share of healthy samples in alarm, raised to what the rows can set. folds: stretches that
-    are left out in turn. Fitted: choice_, calibration_, offset_ (-1), n_features_in_; sensors_ (N,): the positions of the
-    columns that are tested, the others being inputs or columns that never move.
+    Parameters
+    ----------
+    inputs : sequence of int, default ()
+        Positions of the columns that are inputs.
+    kind : str, optional
+        Of the model, see `Candidate`; None for the choice by left-out stretches.
+    order : int, optional
+        Of the model, see `Candidate`; None likewise.
+    false_alarm : float, default 0.01
+        Share of healthy samples in alarm, raised to what the rows can set.
+    folds : int, default 4
+        Stretches that are left out in turn.
 
-    ValueError for fewer than two samples, inputs that are no columns, and data that no model can be identified from.
+    Attributes
+    ----------
+    choice_ : ModelChoice
+        The model, after `fit` as the following ones.
+    calibration_ : Calibration
+        The thresholds.
+    offset_ : float
+        -1.
+    n_features_in_ : int
+        D.
+    sensors_ : array (N,) of int
+        The positions of the columns that are tested, the others being inputs or columns that never move.
+
+    Raises
+    ------
+    ValueError
+        For fewer than two samples, inputs that are no columns, and data that no model can be identified from.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion_sfdia.learning import SensorFaultDetector
+    >>> rng = np.random.default_rng(0)
+    >>> def rows(count):
+    ...     return np.sin(np.arange(count) / 30)[:, None] * [1.0, 0.8, 0.5] + 0.02 * rng.standard_normal((count, 3))
+    >>> detector = SensorFaultDetector(kind="factors", order=1, false_alarm=0.02).fit(rows(400))
+    >>> X = rows(100)
+    >>> X[60:, 1] += 1.0
+    >>> int(detector.predict(X)[70]), detector.isolated(X)[70].tolist()
+    (-1, [False, True, False])
     """
 
     def __init__(
@@ -57,7 +92,20 @@ class SensorFaultDetector(OutlierMixin, BaseEstimator):  # type: ignore[misc]
         self.folds = folds
 
     def fit(self, X: Any, y: Any = None) -> Self:
-        """Identify the model and set thresholds from healthy rows X (K, D); y is ignored."""
+        """Identify the model and set thresholds from healthy rows.
+
+        Parameters
+        ----------
+        X : array (K, D)
+            Healthy readings and inputs, NaN where missing.
+        y : optional
+            Ignored.
+
+        Returns
+        -------
+        Self
+            This detector.
+        """
         X = validate_data(self, X, dtype=float, ensure_min_samples=2, ensure_all_finite="allow-nan")
         if bad := [i for i in self.inputs if not 0 <= i < X.shape[1]]:
             raise ValueError(f"inputs has {bad}; expected positions of the {X.shape[1]} columns")
@@ -78,21 +126,65 @@ class SensorFaultDetector(OutlierMixin, BaseEstimator):  # type: ignore[misc]
         return self
 
     def score_samples(self, X: Any) -> Array:
-        """Minus the largest residual over its threshold (K,), -2 at most while a sensor is isolated: more is healthier."""
+        """Minus the largest residual over its threshold, -2 at most while a sensor is isolated: more is healthier.
+
+        Parameters
+        ----------
+        X : array (K, D)
+            A whole run.
+
+        Returns
+        -------
+        array (K,)
+            Of each sample.
+        """
         found = self._decisions(X)
         held = np.any(found.isolated, axis=-1)
         return -np.asarray(np.where(held, np.maximum(found.score, 2.0), found.score))
 
     def decision_function(self, X: Any) -> Array:
-        """score_samples less offset_ (K,): negative for a sample in alarm."""
+        """score_samples less offset_: negative for a sample in alarm.
+
+        Parameters
+        ----------
+        X : array (K, D)
+            A whole run.
+
+        Returns
+        -------
+        array (K,)
+            Of each sample.
+        """
         return np.asarray(self.score_samples(X) - self.offset_)
 
     def predict(self, X: Any) -> NDArray[np.int64]:
-        """1 for a healthy sample, -1 for one in alarm (K,)."""
+        """1 for a healthy sample, -1 for one in alarm.
+
+        Parameters
+        ----------
+        X : array (K, D)
+            A whole run.
+
+        Returns
+        -------
+        array (K,) of int
+            Of each sample.
+        """
         return np.where(self.decision_function(X) < 0, -1, 1).astype(np.int64)
 
     def isolated(self, X: Any) -> NDArray[np.bool_]:
-        """Which sensors, in the order of sensors_, are isolated in each sample (K, N)."""
+        """Which sensors, in the order of sensors_, are isolated in each sample.
+
+        Parameters
+        ----------
+        X : array (K, D)
+            A whole run.
+
+        Returns
+        -------
+        array (K, N) of bool
+            Of each sample and sensor.
+        """
         return np.asarray(self._decisions(X).isolated)
 
     def _decisions(self, X: Any) -> Decision:

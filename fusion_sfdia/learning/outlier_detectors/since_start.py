@@ -32,8 +32,30 @@ class SinceStartMemory(NamedTuple):
 class SinceStart(BatchDetector):
     """A detector of changes y - y_0, u - u_0 about the means of the first `samples` readings and inputs of a run.
 
-    detector: a BatchDetector of the changes, its plant included (see `changes`). Nothing is tested before, and a fault that is
-    there from the beginning is not seen. A sensor without a reading in the first samples is never tested.
+    Nothing is tested before, and a fault that is there from the beginning is not seen. A sensor without a reading in the first
+    samples is never tested.
+
+    Parameters
+    ----------
+    detector : BatchDetector
+        Of the changes, its plant included (see `changes`).
+    samples : int, default 30
+        Of the means.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion_sfdia import run, simulate
+    >>> from fusion_sfdia.detectors import FixedLimits
+    >>> from fusion_sfdia.learning import SinceStart
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> limits = FixedLimits(plant, np.zeros(4), *np.full((2, 4), 6.0) * plant.sensor_sigma)
+    >>> recording = simulate(plant, 40, seeds=[1])
+    >>> y = recording.y[:, 0] + 0.5 * (recording.t > 180)[:, None] * [1.0, 0.0, 0.0, 0.0]
+    >>> detector = SinceStart(plant, limits)
+    >>> run(detector, detector.init(), recording.t, y, recording.u)[1].isolated[-1].tolist()
+    [True, False, False, False]
     """
 
     detector: Any

@@ -57,10 +57,21 @@ COMMENTS = {
 
 @dataclass(frozen=True, eq=False)
 class Tuned:
-    """A tuned plant and detector: document holds the tables of the file, fitted the detector where it learns from data.
+    """A tuned plant and detector; `tune` makes it.
 
-    fitted: the detector, or the file that `save_detector` wrote; None where class, plant and scale suffice. build: what `tune`
-    has built the detector with; None of one that was read, as a file names a detector but imports no code.
+    Attributes
+    ----------
+    document : dict
+        The tables of the file.
+    fitted : Detector, Path or None
+        Where it learns from data: the detector, or the file that `save_detector` wrote; None where class, plant and scale
+        suffice.
+    build : NamedDetector or None
+        What `tune` has built the detector with; None of one that was read, as a file names a detector but imports no code.
+
+    Examples
+    --------
+    See `tune`.
     """
 
     document: dict[str, Any]
@@ -88,16 +99,51 @@ class Tuned:
         return dict(self.document["quality"])
 
     def plant(self, plant: Plant) -> Plant:
-        """The plant with what was learnt; ValueError where the file is of another plant, a warning where its model changed."""
+        """The plant with what was learnt.
+
+        Parameters
+        ----------
+        plant : Plant
+            As its maker gives it.
+
+        Returns
+        -------
+        Plant
+            With the noise, parameters and disturbances of the file.
+
+        Raises
+        ------
+        ValueError
+            Where the file is of another plant.
+
+        Warns
+        -----
+        UserWarning
+            Where the model of the plant has changed.
+        """
         require_same_plant(self.document, plant)
         warn_of_change(self.document["plant"], plant)
         return learnt_plant(self.document, plant)
 
     def detector(self, plant: Plant, detector: str | Callable[[Plant], Detector] | registry.NamedDetector | None = None) -> Any:
-        """The tuned detector on the plant as `plant` gives it, from the plant as its maker gives it; ValueError as there.
+        """The tuned detector on the plant as `plant` gives it.
 
-        detector: the one that was tuned, given as in `registry.find_detector`; needed where it is none of this package.
-        ValueError where it is another than the one that was tuned, or has other settings now.
+        Parameters
+        ----------
+        plant : Plant
+            As its maker gives it.
+        detector : str, callable or NamedDetector, optional
+            The one that was tuned, given as in `registry.find_detector`; needed where it is none of this package.
+
+        Returns
+        -------
+        Detector
+            With the tuned thresholds.
+
+        Raises
+        ------
+        ValueError
+            As of `plant`, and where the detector is another than the one that was tuned, or has other settings now.
         """
         entry = self.entry(detector)
         acting = acting_plant(self.plant(plant), entry)
@@ -116,7 +162,20 @@ class Tuned:
     def entry(self, given: str | Callable[[Plant], Detector] | registry.NamedDetector | None = None) -> registry.NamedDetector:
         """The detector to build: the given one, or else that of the file's name where it is one of this package.
 
-        ValueError where the given one is another, and where none is given and the file's is none of this package.
+        Parameters
+        ----------
+        given : str, callable or NamedDetector, optional
+            As `detector` of the method of that name.
+
+        Returns
+        -------
+        NamedDetector
+            To be built.
+
+        Raises
+        ------
+        ValueError
+            Where the given one is another, and where none is given and the file's is none of this package.
         """
         name = self.detector_name
         if given is None:
@@ -136,7 +195,13 @@ class Tuned:
         return registry.find_detector(given)
 
     def write(self, path: str | Path) -> None:
-        """Write the file, and beside it (.npz) a detector that learns from data."""
+        """Write the file, and beside it (.npz) a detector that learns from data.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+        """
         path = Path(path)
         if self.fitted is None:
             write_document(path, self.document, COMMENTS)
@@ -152,7 +217,23 @@ class Tuned:
 
     @classmethod
     def read(cls, path: str | Path) -> Tuned:
-        """Read a file; ValueError, which names it, where it is none."""
+        """Read a file that `write` wrote.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+
+        Returns
+        -------
+        Tuned
+            As it was written.
+
+        Raises
+        ------
+        ValueError
+            Which names the file, where it is none.
+        """
         path = Path(path)
         document = read_document(path)
         for table, keys in NEEDED.items():

@@ -115,8 +115,24 @@ SCENARIO = scenario_of(Subjects())
 class ComparisonResult:
     """What a comparison found: its rows as in metrics.csv, findings in sentences, a line for each piece of work that failed.
 
-    folder: where metrics.csv, figures and report.html are; None where they were not kept. notes: lines of damaged parts, and
-    of plants that have the name of a registered one but not its cases.
+    Attributes
+    ----------
+    rows : list of Row
+        As in metrics.csv.
+    highlights : list of str
+        Findings in sentences.
+    failures : list of str
+        A line for each piece of work that failed.
+    notes : list of str
+        Lines of damaged parts, and of plants that have the name of a registered one but not its cases.
+    folder : Path or None
+        Where metrics.csv, figures and report.html are; None where they were not kept.
+    page : str
+        The report.
+
+    Examples
+    --------
+    See `compare`.
     """
 
     rows: list[Row]
@@ -145,7 +161,18 @@ class ComparisonResult:
         return as_html("Comparison of detectors", failed, ("plant", "criterion", "detectors, the best first"), ranks)
 
     def frame(self) -> Any:
-        """The rows as a pandas DataFrame, a column for each of metrics.csv; MissingPackageError without pandas."""
+        """The rows as a pandas DataFrame, a column for each of metrics.csv.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each of `rows`.
+
+        Raises
+        ------
+        MissingPackageError
+            Without pandas.
+        """
         try:
             pandas: Any = import_module("pandas")
         except ModuleNotFoundError as error:
@@ -153,7 +180,18 @@ class ComparisonResult:
         return pandas.DataFrame([row.columns for row in self.rows])
 
     def report(self, path: str | Path) -> Path:
-        """Write the report as one HTML file and return its path."""
+        """Write the report as one HTML file and return its path.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+
+        Returns
+        -------
+        Path
+            Of the file.
+        """
         path = Path(path)
         with atomic_write(path) as file:
             file.write(self.page)
