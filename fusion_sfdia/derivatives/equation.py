@@ -29,6 +29,26 @@ def equation(function: F) -> F:
     """Mark a scalar function as an equation: Python for arrays and complex numbers, compiled inside compiled callers.
 
     There it is always inlined; otherwise loops over it would not become vector instructions.
+
+    Parameters
+    ----------
+    function : callable
+        Of scalars, written with operators and elementwise functions and without branching on values.
+
+    Returns
+    -------
+    callable
+        The function itself.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion_sfdia.plants import equation
+    >>> @equation
+    ... def outflow(level, c):
+    ...     return c * np.sqrt(level)
+    >>> outflow(np.array([1.0, 4.0]), 0.5)
+    array([0.5, 1. ])
     """
     return register_jitable(forceinline=True, no_cfunc_wrapper=True)(function)  # type: ignore[no-any-return]
 

@@ -135,7 +135,20 @@ class Moments:
 
 @dataclass(frozen=True)
 class Extended(Conditioned, Moments):
-    """The extended Kalman filter (Shaheen 2024, sec. III-C1); the linear one where the plant is linear."""
+    """The extended Kalman filter (Shaheen 2024, sec. III-C1); the linear one where the plant is linear.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import run, simulate
+    >>> from fusion_sfdia.detectors import CentralFilter
+    >>> from fusion_sfdia.filters import Extended
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> detector = CentralFilter(two_tanks(), Extended())
+    >>> recording = simulate(detector.plant, 40, seeds=[1])
+    >>> decisions = run(detector, detector.init(1), recording)[1]
+    >>> bool((abs(decisions.estimate[-1] - recording.x[-1]) < 0.02).all())  # m
+    True
+    """
 
     consistent: bool = field(default=True, init=False, repr=False)
 
@@ -157,9 +170,26 @@ class Extended(Conditioned, Moments):
 class Unscented(Conditioned, Moments):
     """The unscented Kalman filter (Shaheen 2024, sec. III-C3).
 
-    redraw: whether new sigma points are drawn from the predicted moments before the update, as in textbooks. Without it, the
-    propagated points are used again, as the paper prints it, and the gain neglects the process noise. The moments of linear
-    functions of the points are those of their matrices.
+    Parameters
+    ----------
+    points : SigmaPoints
+        The spread and the weights of the sigma points.
+    redraw : bool, default True
+        Whether new sigma points are drawn from the predicted moments before the update, as in textbooks. Without it, the
+        propagated points are used again, as the paper prints it, and the gain neglects the process noise. The moments of linear
+        functions of the points are those of their matrices.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import run, simulate
+    >>> from fusion_sfdia.detectors import CentralFilter
+    >>> from fusion_sfdia.filters import Unscented
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> detector = CentralFilter(two_tanks(), Unscented())
+    >>> recording = simulate(detector.plant, 40, seeds=[1])
+    >>> decisions = run(detector, detector.init(1), recording)[1]
+    >>> bool((abs(decisions.estimate[-1] - recording.x[-1]) < 0.02).all())  # m
+    True
     """
 
     points: ukf.SigmaPoints = field(default_factory=ukf.SigmaPoints)
@@ -197,6 +227,23 @@ class Unscented(Conditioned, Moments):
 class Ensemble(Conditioned):
     """The ensemble Kalman filter (Shaheen 2024, sec. III-C2), with S = H P H' + R for the printed sample covariance,
     which is singular for fewer members than readings.
+
+    Parameters
+    ----------
+    settings : EnKFSettings
+        Size of the ensemble, the kind of update, inflation and localisation.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import run, simulate
+    >>> from fusion_sfdia.detectors import CentralFilter
+    >>> from fusion_sfdia.filters import Ensemble
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> detector = CentralFilter(two_tanks(), Ensemble())
+    >>> recording = simulate(detector.plant, 40, seeds=[1])
+    >>> decisions = run(detector, detector.init(1), recording)[1]
+    >>> bool((abs(decisions.estimate[-1] - recording.x[-1]) < 0.02).all())  # m
+    True
     """
 
     settings: enkf.EnKFSettings = field(default_factory=enkf.EnKFSettings)
@@ -237,8 +284,25 @@ class GaussianParticles(Moments):
     """The Gaussian particle filter (Kotecha and Djuric 2003), with the Kalman update of the moments as importance density
     (van der Merwe et al. 2000): from the prior, no particle would hit the readings of many sensors.
 
-    size: number of particles, more than states. The draws of a step have mean 0 and covariance I exactly, and all runs and
-    local filters share them, so that on a linear plant every weight is the same and the filter is the Kalman filter.
+    The draws of a step have mean 0 and covariance I exactly, and all runs and local filters share them, so that on a linear
+    plant every weight is the same and the filter is the Kalman filter.
+
+    Parameters
+    ----------
+    size : int, default 1000
+        Number of particles, more than states.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import simulate
+    >>> from fusion_sfdia.detectors import FusingBank
+    >>> from fusion_sfdia.filters import GaussianParticles
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> healthy = simulate(plant, 60, seeds=range(2))
+    >>> bank = FusingBank.fit(plant, healthy, false_alarm=0.05, estimator=GaussianParticles(100))
+    >>> len(bank.thresholds)
+    4
     """
 
     size: int = 1000
@@ -275,11 +339,31 @@ class GaussianParticles(Moments):
         return GaussianState(x[..., 0, :], p[..., 0, :, :])
 
     def weighed(self, plant: Plant, prior: Prior, joint: Joint, reading: Reading, x: Array, p: Array) -> tuple[Array, Array]:
-        """Return mean x (..., N, n) and covariance p (..., N, n, n) of N local filters from draws of the x and p given.
+        """Return mean and covariance of N local filters from draws of the x and p given.
 
             X = x + L z,    L L' = p,    w ~ N(X; prior) prod_j N(y_j; h_j(X), R_j) / N(X; x, p)
 
-        prior, joint: of all filters. reading: y (..., N, N), NaN where a filter does not use a reading.
+        Parameters
+        ----------
+        plant : Plant
+            The model.
+        prior : Prior
+            Of all filters.
+        joint : Joint
+            Of all filters.
+        reading : Reading
+            y (..., N, N), NaN where a filter does not use a reading.
+        x : array (..., N, n)
+            Mean of the draws of each filter.
+        p : array (..., N, n, n)
+            Covariance of the draws of each filter.
+
+        Returns
+        -------
+        x : array (..., N, n)
+            Weighted mean.
+        p : array (..., N, n, n)
+            Weighted covariance.
         """
         x, p, z, (mean, cov) = np.array(x), np.array(p), prior.propagated, prior.core
         assert z is not None

@@ -45,11 +45,43 @@ def plant_from_filterpy(
 ) -> Plant:
     """Return the plant of a filterpy filter in its present state: its model, x, P, Q and R (diagonal).
 
-    dt: the step in seconds; an unscented or ensemble filter knows its own, for the others it is 1 unless given, and fixed.
-    sensors, states: names, z0, z1, ... and x0, x1, ... unless given. h, h_jacobian: what an ExtendedKalmanFilter takes in
-    `update` as Hx and HJacobian (h is required, and is called with a state of the shape of source.x). f_jacobian: that of an
-    overridden predict_x, or of fx. Raises ValueError for what a plant cannot carry: correlated readings, fading memory,
-    cross-correlated noise, custom means or residuals.
+    Parameters
+    ----------
+    source : KalmanFilter, ExtendedKalmanFilter, UnscentedKalmanFilter or EnsembleKalmanFilter
+        Of filterpy.
+    dt : float, optional
+        The step in s; an unscented or ensemble filter knows its own, for the others it is 1 unless given, and fixed.
+    sensors : sequence of str, optional
+        Names, z0, z1, ... unless given.
+    states : sequence of str, optional
+        Names, x0, x1, ... unless given.
+    h : callable, optional
+        What an ExtendedKalmanFilter takes in `update` as Hx; it is required then, and is called with a state of the shape of
+        source.x.
+    h_jacobian : callable, optional
+        What it takes as HJacobian.
+    f_jacobian : callable, optional
+        That of an overridden predict_x, or of fx.
+
+    Returns
+    -------
+    Plant
+        With the same model.
+
+    Raises
+    ------
+    ValueError
+        For what a plant cannot carry: correlated readings, fading memory, cross-correlated noise, custom means or residuals.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from filterpy.kalman import KalmanFilter
+    >>> from fusion_sfdia.plants import plant_from_filterpy
+    >>> own = KalmanFilter(dim_x=1, dim_z=2)
+    >>> own.F, own.H, own.R = np.array([[0.97]]), np.ones((2, 1)), np.diag([1e-4, 1e-4])
+    >>> plant_from_filterpy(own, dt=60.0, sensors=["gauge_1", "gauge_2"]).sensor_names
+    ('gauge_1', 'gauge_2')
     """
     n, shape = np.size(source.x), np.shape(source.x)
     states = list(states or (f"x{i}" for i in range(n)))

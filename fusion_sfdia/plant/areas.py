@@ -59,14 +59,40 @@ class AreaArrays(NamedTuple):
 class Areas:
     """N areas of n states each, joined at 2E sides of ties, in the layout of network.py.
 
-    network: its plugged-in areas and closed ties. states: the names of each area's states (N tuples of n). owners: the
-    name of each area as the owner of sensors (N). matrices: (N, n, n + 2) rows [F_i, b_i, g_i]. slope: (2E,) P_ij, 0
-    at open ties. shared_gain: (2E,) what the area at a side takes for F_j[0, 0] of its neighbour.
-    process_variance: (N, n) of w over a step. noise: (N, n) variances of the areas' own readings, inf of a state that its area
-    does not read; shared_noise: (2E,) of what each reads of its neighbour's z, inf where it has no sensor of it and receives
-    what its neighbour holds.
-    ValueError for arrays of other shapes, variances that are not finite and at least 0 (noise: positive, or inf), a slope at an
-    open tie, and a shared state of which the models of two areas disagree.
+    Parameters
+    ----------
+    network : Network
+        Its plugged-in areas and closed ties.
+    states : tuple of tuple of str
+        The names of each area's states (N tuples of n).
+    owners : tuple of str (N,)
+        The name of each area as the owner of sensors.
+    matrices : array (N, n, n + 2)
+        Rows [F_i, b_i, g_i].
+    slope : array (2E,)
+        P_ij, 0 at open ties.
+    shared_gain : array (2E,)
+        What the area at a side takes for F_j[0, 0] of its neighbour.
+    process_variance : array (N, n)
+        Of w over a step.
+    noise : array (N, n)
+        Variances of the areas' own readings, inf of a state that its area does not read.
+    shared_noise : array (2E,)
+        Variance of what each reads of its neighbour's z, inf where it has no sensor of it and receives what its neighbour
+        holds.
+
+    Raises
+    ------
+    ValueError
+        For arrays of other shapes, variances that are not finite and at least 0 (noise: positive, or inf), a slope at an open
+        tie, and a shared state of which the models of two areas disagree.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.plants import Areas, power_network
+    >>> areas: Areas = power_network(loads=()).structure.areas
+    >>> areas.size, areas.network.neighbours("4")
+    ((15, 4, 34), ('3', '5', '13'))
     """
 
     network: Network
@@ -140,7 +166,20 @@ class Areas:
     def arrays(self, mode: str) -> AreaArrays:
         """The arrays for compiled steps in a mode, with the terms that its steps keep. Not copies: see `forget`.
 
-        ValueError for the mode "paper" where a state is not read.
+        Parameters
+        ----------
+        mode : str
+            "corrected" or "paper".
+
+        Returns
+        -------
+        AreaArrays
+            Of all areas.
+
+        Raises
+        ------
+        ValueError
+            For the mode "paper" where a state is not read.
         """
         if mode == "paper" and self.partly_read:
             raise ValueError(
@@ -158,7 +197,20 @@ class Areas:
         return self._arrays[mode]
 
     def state_name(self, area: int, state: int) -> str:
-        """The name of a state, also of areas without names."""
+        """The name of a state, also of areas without names.
+
+        Parameters
+        ----------
+        area : int
+            Position of the area.
+        state : int
+            Position of the state in it.
+
+        Returns
+        -------
+        str
+            For an error.
+        """
         return self.states[area][state] if self.states else f"state {state} of area {self.network.topology.names[area]}"
 
     @property
@@ -176,12 +228,36 @@ class Areas:
         return {}
 
     def forget(self, areas: Array) -> None:
-        """Let steps compute anew what they keep of some areas (M,): call it after their arrays have been changed in place."""
+        """Let steps compute anew what they keep of some areas: call it after their arrays have been changed in place.
+
+        Parameters
+        ----------
+        areas : array (M,) of int
+            Their positions.
+        """
         for kept in self._arrays.values():
             kept.known[areas] = False
 
     def place(self, measures: str, owner: str) -> int:
-        """Position of a sensor among the N n own readings and 2E shared ones; ValueError for a sensor of none of them."""
+        """Position of a sensor among the N n own readings and 2E shared ones.
+
+        Parameters
+        ----------
+        measures : str
+            The state that it reads.
+        owner : str
+            The area that reads it.
+
+        Returns
+        -------
+        int
+            Own readings come first.
+
+        Raises
+        ------
+        ValueError
+            For a sensor of none of them.
+        """
         known = self._places.get((measures, owner))
         if known is None:
             raise ValueError(

@@ -32,11 +32,33 @@ def augment(plant: Plant) -> Plant:
     """Return the plant with its parameters, errors of inputs and disturbances as states; itself where it states none.
 
     The states of the plant come first, then parameters, errors of inputs (in the order of the inputs) and disturbances. A
-    frozen one has no variance; the initial_sigma of its signal is its standard deviation. ValueError for an input or a
-    direction that does not fit the plant.
+    frozen one has no variance; the initial_sigma of its signal is its standard deviation.
 
+    Parameters
+    ----------
+    plant : Plant
+        Which states its `uncertainty`.
+
+    Returns
+    -------
+    Plant
+        With these further states.
+
+    Raises
+    ------
+    ValueError
+        For an input or a direction that does not fit the plant.
+
+    Notes
+    -----
     A filter estimates what multiplies a state, such as a droop, without bias only where the process noise that the plant states
     acts: it takes the error of its own estimate of the state for a change of the state otherwise (Ljung 1979).
+
+    Examples
+    --------
+    >>> from fusion_sfdia.plants import augment, two_tanks
+    >>> [state.name for state in augment(two_tanks()).states]
+    ['level_1', 'level_2', 'outlet_1', 'outlet_2', 'leak', 'error of inflow']
     """
     known = plant.uncertainty
     if not known.stated:

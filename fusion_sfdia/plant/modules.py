@@ -41,13 +41,38 @@ class ObserverBound(NamedTuple):
 class Modules:
     """Scalar equations that monitoring modules compare with sensors.
 
-    equations: {variable: function}, the states first: h of dx/dt = -rate x + h, then phi of z = phi. Arguments are the names
-    of variables and inputs, and c. rates (S,), 1/s. nominal: {variable: value}, SI. parameters: c. inputs: their names.
-    names: {variable: name of its module}; gains: {state: L of its observer, 1/s}. drift: {state: share of its nominal value by
-    which it moves at most from one reading to the next}, see adaptive_threshold.
-    observer_bounds: {state: constants of (10) as published}; margins: {variable: share of its nominal value by which a
-    calibrated threshold is wider, or narrower, than the valid one}.
-    monitor: a compiled driver with the arguments after c and the result of monitoring.monitor, or None.
+    Parameters
+    ----------
+    equations : mapping of str to callable
+        {variable: function}, the states first: h of dx/dt = -rate x + h, then phi of z = phi. Arguments are the names of
+        variables and inputs, and c.
+    rates : array (S,)
+        Of the states, 1/s.
+    nominal : mapping of str to float
+        {variable: value}, SI.
+    parameters : any
+        c.
+    inputs : tuple of str
+        Their names.
+    names : mapping of str to str
+        {variable: name of its module}.
+    gains : mapping of str to float
+        {state: L of its observer, 1/s}.
+    observer_bounds : mapping of str to ObserverBound
+        {state: constants of (10) as published}.
+    margins : mapping of str to float
+        {variable: share of its nominal value by which a calibrated threshold is wider, or narrower, than the valid one}.
+    drift : mapping of str to float
+        {state: share of its nominal value by which it moves at most from one reading to the next}, see adaptive_threshold.
+    monitor : callable, optional
+        A compiled driver with the arguments after c and the result of monitoring.monitor, or None.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.plants import Modules, two_tanks
+    >>> modules: Modules = two_tanks().structure.modules
+    >>> modules.states, modules.variables
+    (('level_1', 'level_2'), ('level_1', 'level_2', 'flow_12', 'flow_out', 'inflow'))
     """
 
     equations: Mapping[str, Callable[..., Any]]

@@ -23,10 +23,27 @@ MOST_SHOWN = 20  # names in an error
 
 @dataclass(frozen=True, eq=False)
 class Topology:
-    """N named nodes and E undirected links between them, (E, 2) positions of their two ends.
+    """N named nodes and E undirected links between them.
 
-    ValueError for names that occur twice, ends that are not nodes, a link from a node to itself, two links between the same
-    nodes, or a node without any link.
+    Parameters
+    ----------
+    names : tuple of str (N,)
+        Of the nodes.
+    links : array (E, 2) of int
+        Positions of the two ends of each link.
+
+    Raises
+    ------
+    ValueError
+        For names that occur twice, ends that are not nodes, a link from a node to itself, two links between the same nodes, or
+        a node without any link.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.plants import Topology
+    >>> topology = Topology.joined(("left", "middle", "right"), [("left", "middle"), ("middle", "right")])
+    >>> topology.links.tolist(), topology.index("right")
+    ([[0, 1], [1, 2]], 2)
     """
 
     names: tuple[str, ...]
@@ -52,7 +69,25 @@ class Topology:
 
     @classmethod
     def joined(cls, names: Sequence[str], links: Iterable[tuple[str, str]]) -> Topology:
-        """The topology whose links are given by the names of their ends; ValueError for an unknown name too."""
+        """The topology whose links are given by the names of their ends.
+
+        Parameters
+        ----------
+        names : sequence of str (N,)
+            Of the nodes.
+        links : iterable of (str, str)
+            The two ends of each.
+
+        Returns
+        -------
+        Topology
+            Of these nodes.
+
+        Raises
+        ------
+        ValueError
+            As the class, and for an unknown name.
+        """
         at = {name: i for i, name in enumerate(names)}
         pairs = list(links)
         unknown = sorted({end for pair in pairs for end in pair if end not in at})
@@ -65,13 +100,40 @@ class Topology:
         return {name: i for i, name in enumerate(self.names)}
 
     def index(self, name: str) -> int:
-        """Position of a node; ValueError for an unknown name."""
+        """Position of a node.
+
+        Parameters
+        ----------
+        name : str
+            Of the node.
+
+        Returns
+        -------
+        int
+            Among `names`.
+
+        Raises
+        ------
+        ValueError
+            For an unknown name.
+        """
         if name not in self._positions:
             raise ValueError(f"unknown node {name!r}; known: {_listed(self.names)}")
         return self._positions[name]
 
     def shown(self, nodes: Array) -> str:
-        """The names of nodes, given by their positions, for an error."""
+        """The names of nodes, for an error.
+
+        Parameters
+        ----------
+        nodes : array (M,) of int
+            Their positions.
+
+        Returns
+        -------
+        str
+            In words.
+        """
         return _listed([self.names[i] for i in nodes])
 
     @cached_property
@@ -107,7 +169,20 @@ class Topology:
         return other
 
     def sides(self, nodes: Array) -> tuple[Array, Array]:
-        """All sides of some nodes (M,), one node after the other, and where each begins among them (M,)."""
+        """All sides of some nodes, one node after the other, and where each begins among them.
+
+        Parameters
+        ----------
+        nodes : array (M,) of int
+            Their positions.
+
+        Returns
+        -------
+        sides : array of int
+            Of all these nodes.
+        begins : array (M,) of int
+            Where those of each node begin.
+        """
         count = self.start[nodes + 1] - self.start[nodes]
         first = np.cumsum(count) - count
         return np.repeat(self.start[nodes] - first, count) + np.arange(count.sum()), first
@@ -129,7 +204,22 @@ class TopologyChange(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """A topology and which of its nodes are plugged in, (N,) truth values; another selection is another Network."""
+    """A topology and which of its nodes are plugged in; another selection is another Network.
+
+    Parameters
+    ----------
+    topology : Topology
+        Of N nodes.
+    plugged : array (N,) of bool
+        Whether each is plugged in.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.plants import Network, Topology
+    >>> network = Network.of(Topology.joined("abc", [("a", "b"), ("b", "c")]), unplugged=["c"])
+    >>> network.neighbours("b"), network.switched(plug_in=["c"]).neighbours("b")
+    (('a',), ('a', 'c'))
+    """
 
     topology: Topology
     plugged: Array
@@ -145,7 +235,20 @@ class Network:
 
     @classmethod
     def of(cls, topology: Topology, unplugged: Iterable[str] = ()) -> Network:
-        """A network with all nodes plugged in but those named."""
+        """A network with all nodes plugged in but those named.
+
+        Parameters
+        ----------
+        topology : Topology
+            Of all nodes.
+        unplugged : iterable of str, default ()
+            Those that are not plugged in.
+
+        Returns
+        -------
+        Network
+            Of that topology.
+        """
         whole = cls(topology, np.ones(len(topology.names), bool))
         away = tuple(unplugged)
         return whole.switched(unplug=away) if away else whole
@@ -157,20 +260,57 @@ class Network:
         return both
 
     def sides(self, node: int) -> Array:
-        """The closed sides of a node."""
+        """The closed sides of a node.
+
+        Parameters
+        ----------
+        node : int
+            Its position.
+
+        Returns
+        -------
+        array of int
+            The positions of the sides.
+        """
         own = np.arange(self.topology.start[node], self.topology.start[node + 1])
         return own[self.closed[own]]
 
     def neighbours(self, name: str) -> tuple[str, ...]:
-        """Names of the nodes to which a node is joined at present."""
+        """Names of the nodes to which a node is joined at present.
+
+        Parameters
+        ----------
+        name : str
+            Of the node.
+
+        Returns
+        -------
+        tuple of str
+            Empty for a node that is not plugged in.
+        """
         at = self.topology
         return tuple(at.names[j] for j in at.neighbour[self.sides(at.index(name))])
 
     def change(self, *, plug_in: Iterable[str] = (), unplug: Iterable[str] = ()) -> TopologyChange:
         """The change when nodes join and leave at the same time; the cost grows with their links only.
 
-        ValueError for an unknown node, one named twice, one to plug in that is plugged in, one to unplug that is not, or
-        nothing to do.
+        Parameters
+        ----------
+        plug_in : iterable of str, default ()
+            Nodes that join.
+        unplug : iterable of str, default ()
+            Nodes that leave.
+
+        Returns
+        -------
+        TopologyChange
+            What changes.
+
+        Raises
+        ------
+        ValueError
+            For an unknown node, one named twice, one to plug in that is plugged in, one to unplug that is not, or nothing to
+            do.
         """
         at, joins, leaves = self.topology, tuple(plug_in), tuple(unplug)
         if not joins and not leaves:
@@ -192,11 +332,40 @@ class Network:
         return TopologyChange(nodes, plugged, sides[other], both[other], np.unique(at.node[sides[other]]))
 
     def switched(self, *, plug_in: Iterable[str] = (), unplug: Iterable[str] = ()) -> Network:
-        """The network after nodes joined and left it together; ValueError as in `change`."""
+        """The network after nodes joined and left it together.
+
+        Parameters
+        ----------
+        plug_in : iterable of str, default ()
+            Nodes that join.
+        unplug : iterable of str, default ()
+            Nodes that leave.
+
+        Returns
+        -------
+        Network
+            Of the same topology.
+
+        Raises
+        ------
+        ValueError
+            As in `change`.
+        """
         return self.after(self.change(plug_in=plug_in, unplug=unplug))
 
     def after(self, change: TopologyChange) -> Network:
-        """The network after a change of it."""
+        """The network after a change of it.
+
+        Parameters
+        ----------
+        change : TopologyChange
+            As `change` gives it.
+
+        Returns
+        -------
+        Network
+            Of the same topology.
+        """
         plugged = self.plugged.copy()
         plugged[change.nodes] = change.plugged
         return Network(self.topology, plugged)

@@ -41,13 +41,36 @@ FROM_STATES: Any = None  # the values that the signals of the states give
 class Numerics:
     """The Jacobians of a model, and the steps for which it holds.
 
-    step_jacobian(t_start, x, u, dt), (..., n, n), and output_jacobian(t, x, u), (..., N, n): None for those that the
-    functions have themselves as an attribute `jacobian`, of the same arguments (with an attribute `with_jacobian`, which
-    returns both, estimators call the model once, see `differentiable`); otherwise the complex step, or central
-    differences (to about 1e-10) where the complex step fails because of abs, sign, interp or the like. Both are compared once,
-    at points about x0. At a kink itself, |x| at 0, differences give the mean of both slopes.
-    max_dt: longest step (s), inf for no limit. fixed_dt: whether the model holds for the plant's nominal dt only.
-    Raises ValueError for a Jacobian that is no function and a max_dt that is not positive.
+    Parameters
+    ----------
+    step_jacobian : callable, optional
+        step_jacobian(t_start, x, u, dt) -> (..., n, n). None for that which the function has itself as an attribute `jacobian`,
+        of the same arguments (with an attribute `with_jacobian`, which returns both, estimators call the model once, see
+        `differentiable`); otherwise the complex step, or central differences (to about 1e-10) where the complex step fails
+        because of abs, sign, interp or the like.
+    output_jacobian : callable, optional
+        output_jacobian(t, x, u) -> (..., N, n); None likewise.
+    max_dt : float, default inf
+        Longest step in s, inf for no limit.
+    fixed_dt : bool, default False
+        Whether the model holds for the plant's nominal dt only.
+
+    Raises
+    ------
+    ValueError
+        For a Jacobian that is no function and a max_dt that is not positive.
+
+    Notes
+    -----
+    Complex step and differences are compared once, at points about x0. At a kink itself, |x| at 0, differences give the mean of
+    both slopes.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> from fusion_sfdia.plants import Numerics, two_tanks
+    >>> plant = replace(two_tanks(), numerics=Numerics(max_dt=10.0))
+    >>> plant.check_dt(10.0)  # silent where the model holds
     """
 
     step_jacobian: StepFunction | None = None
@@ -65,14 +88,33 @@ class Numerics:
 class Truth:
     """The truth of simulations, which represents the real plant; a detector uses only its operation, for unknown inputs.
 
-    operation(t): the input (m,) that acts from t on where none is given; None for the nominal values of the inputs.
-    feedback(t, y, u): the input (..., m) that acts from t on in closed loop, by controllers that read y (..., N) at t and
-    replace u (..., m); None in open loop.
-    finer(): a high-fidelity model with the same sensors and inputs (a finer grid, for example) and the map from its states to
-    those of the plant; None where there is none. Simulations take their readings from it unless another truth is given.
-    disturbed: whether process noise acts on the real plant, too, and on healthy recordings for fitting. Otherwise the
-    process noise only represents what the model neglects.
-    Raises ValueError for an operation, feedback or finer that is no function.
+    Parameters
+    ----------
+    operation : callable, optional
+        operation(t): the input (m,) that acts from t (s) on where none is given; None for the nominal values of the inputs.
+    feedback : callable, optional
+        feedback(t, y, u): the input (..., m) that acts from t on in closed loop, by controllers that read y (..., N) at t and
+        replace u (..., m); None in open loop.
+    finer : callable, optional
+        finer(): a high-fidelity model with the same sensors and inputs (a finer grid, for example) and the map from its states
+        to those of the plant; None where there is none. Simulations take their readings from it unless another truth is given.
+    disturbed : bool, default False
+        Whether process noise acts on the real plant, too, and on healthy recordings for fitting. Otherwise the process noise
+        only represents what the model neglects.
+
+    Raises
+    ------
+    ValueError
+        For an operation, feedback or finer that is no function.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> import numpy as np
+    >>> from fusion_sfdia.plants import Truth, two_tanks
+    >>> plant = replace(two_tanks(), truth=Truth(operation=lambda t: np.array([1e-3 if t < 600 else 1.1e-3])))
+    >>> plant.input_at(900.0)
+    array([0.0011])
     """
 
     operation: Callable[[float], Array] | None = None
@@ -88,8 +130,23 @@ class Truth:
 class Structure:
     """The single equations of a plant, in SI.
 
-    modules: the scalar equations as monitoring modules; areas: the linear areas, each with its own diagnoser. None where not
-    stated; detectors that need them are then not applicable, and one diagnoser reads all sensors.
+    Parameters
+    ----------
+    modules : Modules, optional
+        The scalar equations as monitoring modules.
+    areas : Areas, optional
+        The linear areas, each with its own diagnoser.
+
+    Notes
+    -----
+    None where not stated; detectors that need them are then not applicable, and one diagnoser reads all sensors.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.plants import Structure, two_tanks
+    >>> structure: Structure = two_tanks().structure
+    >>> structure.modules.variables, structure.areas
+    (('level_1', 'level_2', 'flow_12', 'flow_out', 'inflow'), None)
     """
 
     modules: Modules | None = None

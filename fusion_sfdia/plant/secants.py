@@ -59,10 +59,38 @@ class Secants:
 
 
 def secants(plant: Plant, parameters: Sequence[Parameter], rebuild: Callable[..., Plant], **stated: Any) -> Uncertainty:
-    """Uncertainty of the parameters of a plant that can be built at other values: rebuild(**{parameter: value}), see `Secants`.
+    """Uncertainty of the parameters of a plant that can be built at other values, see `Secants`.
 
-    rebuild takes any number of the parameters; the others keep their values. stated: `inputs`, `disturbances` and `at_rest`, as
-    of `Uncertainty`.
+    Parameters
+    ----------
+    plant : Plant
+        At the nominal values.
+    parameters : sequence of Parameter
+        That are not known exactly.
+    rebuild : callable
+        rebuild(**{parameter: value}) -> Plant; it takes any number of the parameters, the others keep their values.
+    **stated
+        `inputs`, `disturbances` and `at_rest`, as of `Uncertainty`.
+
+    Returns
+    -------
+    Uncertainty
+        To be given to the plant.
+
+    Raises
+    ------
+    ValueError
+        Where a rebuilt plant has other states, sensors or inputs.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> from fusion_sfdia import Parameter
+    >>> from fusion_sfdia.plants import augment, secants, two_tanks
+    >>> outlet = Parameter("outlet", nominal=1.0, sd=0.05)
+    >>> rig = replace(two_tanks(), uncertainty=secants(two_tanks(), [outlet], two_tanks))
+    >>> [state.name for state in augment(rig).states]
+    ['level_1', 'level_2', 'outlet']
     """
     at = Secants(plant, tuple(parameters), rebuild)
     return Uncertainty(at.parameters, at.step, at.output, rebuild=rebuild, **stated)

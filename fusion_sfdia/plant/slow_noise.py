@@ -22,8 +22,24 @@ from fusion_sfdia.common.arguments import number
 class SlowNoise:
     """The slow part of a sensor's noise: first-order noise, as of a wandering zero point.
 
-    share: of the variance, from 0 to below 1; what is left is white. time_constant: in s; its autocorrelation after t seconds
-    is exp(-t / time_constant). Raises ValueError for others.
+    Parameters
+    ----------
+    share : float
+        Of the variance, from 0 to below 1; what is left is white.
+    time_constant : float
+        In s; its autocorrelation after t seconds is exp(-t / time_constant).
+
+    Raises
+    ------
+    ValueError
+        For others.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import Sensor
+    >>> from fusion_sfdia.plants import SlowNoise
+    >>> Sensor("gauge", "level", "m", sigma=0.01, noise=SlowNoise(share=0.5, time_constant=3000.0)).noise.share
+    0.5
     """
 
     share: float

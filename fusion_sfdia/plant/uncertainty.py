@@ -112,8 +112,30 @@ class PriorSpread(NamedTuple):
 class Disturbance:
     """An unknown signal xi that acts on states and readings along fixed directions: x+ += V xi dt / dt_nominal, y += W xi.
 
-    state: V (n,) in the states' units. reading: W (N,) in the sensors' units. sd: standard deviation of xi.
-    time_constant: of its correlation exp(-|t| / time_constant), s; inf for a constant.
+    Parameters
+    ----------
+    name : str
+        Of the signal.
+    state : array (n,)
+        V, in the states' units.
+    reading : array (N,)
+        W, in the sensors' units.
+    sd : float, default 1
+        Standard deviation of xi.
+    time_constant : float, default inf
+        Of its correlation exp(-|t| / time_constant), s; inf for a constant.
+    treatment : str, default "estimated"
+        As of `Parameter`.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> import numpy as np
+    >>> from fusion_sfdia import Uncertainty
+    >>> from fusion_sfdia.plants import Disturbance, augment, two_tanks
+    >>> leak = Disturbance("leak", state=np.array([-0.01, 0.0]), reading=np.zeros(4), sd=0.2, time_constant=3600.0)
+    >>> [state.name for state in augment(replace(two_tanks(), uncertainty=Uncertainty(disturbances=(leak,)))).states]
+    ['level_1', 'level_2', 'leak']
     """
 
     name: str

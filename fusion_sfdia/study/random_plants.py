@@ -60,6 +60,23 @@ def random_plant(seed: int) -> Plant:
     """A plant of 3 to 12 states, one or two inputs, and from as many sensors as states to twice as many; dt is 1 s.
 
     Its parameter `gain` multiplies what the inputs do: nominal 1, standard deviation 0.05 to 0.15.
+
+    Parameters
+    ----------
+    seed : int
+        Of the plant.
+
+    Returns
+    -------
+    Plant
+        The same for the same seed.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.plants import random_plant
+    >>> plant = random_plant(1)
+    >>> 3 <= len(plant.states) <= len(plant.sensors), plant.dt
+    (True, 1.0)
     """
     rng = stream(seed, "random plant")
     n, m = int(rng.integers(3, 13)), int(rng.integers(1, 3))

@@ -88,13 +88,45 @@ def gas_pipeline(
 ) -> Plant:
     """Return the pipeline as a plant.
 
-    nodes: of the grid, at least 7. dt: seconds between readings. substeps: of RK4 in dt; None for the fewest that (9)
-    allows. stations: places with sensors, at every k-th node (None: all), named as on the coarse grid. snr: "high",
-    "moderate", "low" (Table III). process_noise: "tenth" or "nine-tenths" of sigma. initial: "noise" for P0 = R, "identity"
-    for one squared unit of the paper (MPa, kg/s, K). outlet_flow: demand at the outlet, kg/s, as a number or a function of
-    time (s); the initial state is the steady state for its value at 0; None for `demand`. parameters: from
-    pipeline_parameters(...), with a roughness or a friction factor. Raises ValueError for too few substeps, with the limit,
-    and for a flow that no pipe of these parameters carries in steady state, with the largest possible flow.
+    Parameters
+    ----------
+    nodes : int, default 21
+        Of the grid, at least 7.
+    dt : float, default 10
+        Seconds between readings.
+    substeps : int, optional
+        Of RK4 in dt; None for the fewest that (9) allows.
+    stations : int, optional
+        Places with sensors, at every k-th node, named as on the coarse grid; None for all nodes.
+    snr : str, default "moderate"
+        "high", "moderate" or "low" (Table III).
+    process_noise : str, default "tenth"
+        "tenth" or "nine-tenths" of sigma.
+    initial : str, default "noise"
+        "noise" for P0 = R, "identity" for one squared unit of the paper (MPa, kg/s, K).
+    outlet_flow : callable or float, optional
+        Demand at the outlet in kg/s, as a number or a function of time (s); the initial state is the steady state for its value
+        at 0. None for `demand`.
+    parameters : PipelineParameters, optional
+        From pipeline_parameters(...), with a roughness or a friction factor.
+
+    Returns
+    -------
+    Plant
+        With pressure, mass flow and temperature at the nodes as states.
+
+    Raises
+    ------
+    ValueError
+        For too few substeps, with the limit, and for a flow that no pipe of these parameters carries in steady state, with the
+        largest possible flow.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.plants import gas_pipeline
+    >>> plant = gas_pipeline()
+    >>> len(plant.states), len(plant.sensors), plant.dt
+    (63, 63, 10.0)
     """
     c = pipeline_parameters() if parameters is None else require_parameters(parameters)
     for what, value, known in (

@@ -124,11 +124,41 @@ def marine_engine(
 ) -> Plant:
     """Return the engine as a plant with the states fuel (kg), p_receiver (Pa), p_charge (Pa).
 
-    load: fuel setting of x0 and of the nominal values, 0.2 to 1. dt: seconds between readings; the exponential midpoint rule
-    divides it into the fewest equal steps of at most 5 ms, times `substeps`. noise: bound of each sensor's error over its
-    nominal value (K24: 0.05, 0.01 to 0.1 in Fig. 5; K22: 0.03). slip: "law" or "constant". parameters: of another engine.
-    process_faults: of an engine that starts from a healthy steady state; such a plant is a truth for the detectors of a healthy
-    one. Raises ValueError for settings that do not fit, ArithmeticError where there is no equilibrium.
+    Parameters
+    ----------
+    load : float, default 1
+        Fuel setting of x0 and of the nominal values, 0.2 to 1.
+    dt : float, default 0.01
+        Seconds between readings; the exponential midpoint rule divides it into the fewest equal steps of at most 5 ms, times
+        `substeps`.
+    noise : float, default 0.05
+        Bound of each sensor's error over its nominal value (K24: 0.05, 0.01 to 0.1 in Fig. 5; K22: 0.03).
+    slip : str, default "law"
+        "law" or "constant".
+    parameters : EngineParameters, optional
+        Of another engine.
+    process_faults : sequence of EngineFault, default ()
+        Of an engine that starts from a healthy steady state; such a plant is a truth for the detectors of a healthy one.
+    substeps : int, default 1
+        Factor on the number of steps within dt.
+
+    Returns
+    -------
+    Plant
+        Of Kougiatsos and Reppa 2024 (K24) and Kougiatsos 2022 (K22).
+
+    Raises
+    ------
+    ValueError
+        For settings that do not fit.
+    ArithmeticError
+        Where there is no equilibrium.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.plants import marine_engine
+    >>> [state.name for state in marine_engine(load=0.8).states]
+    ['fuel', 'p_receiver', 'p_charge']
     """
     c = engine_parameters() if parameters is None else parameters
     law = follows_law(slip)

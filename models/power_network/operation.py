@@ -80,10 +80,28 @@ class AreaFault:
 
 @dataclass(frozen=True)
 class Switch:
-    """Areas, by name, that are plugged in and unplugged at `time` (s), at once; for `power_network(switches=[...])`.
+    """Areas, by name, that are plugged in and unplugged at `time`, at once; for `power_network(switches=[...])`.
 
+    Parameters
+    ----------
+    time : float
+        In s.
+    plug_in : tuple of str, default ()
+        Areas that join.
+    unplug : tuple of str, default ()
+        Areas that leave.
+
+    Notes
+    -----
     Source: B18, sec. VI. The network raises ValueError for an unknown area, one that is plugged in or out already, and a
     switch of no area.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.plants import Switch, power_network
+    >>> leaving = power_network(switches=[Switch(60.0, unplug=("4",))])  # the `truth` of `simulate`
+    >>> leaving.name == power_network().name
+    True
     """
 
     time: float

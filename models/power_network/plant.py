@@ -82,10 +82,43 @@ def power_network(
 ) -> Plant:
     """Return a network of at most 250 areas as a plant; larger ones are a `network_model`, without a name for each state.
 
-    areas: 15 for those of B18, another number for a network generated from `seed`, or parameters. unplugged, dt (s), noise,
-    discretisation: as in `network_model`. loads: steps of the loads in the usual operation; None for those of B18's scenario 1
-    in the areas that exist. faults, switches: of a network that is a truth for the detectors of a healthy one. Raises
-    ValueError for settings that do not fit.
+    Parameters
+    ----------
+    areas : int or NetworkParameters, default 15
+        15 for those of B18, another number for a network generated from `seed`, or parameters.
+    seed : int, default 0
+        Of a generated network.
+    unplugged : iterable of str, default ()
+        Areas that are not plugged in and run by themselves, as in `network_model`.
+    dt : float, default 1
+        Seconds between readings.
+    noise : str, default "lit"
+        "lit" or "small", of the process, as in `network_model`.
+    discretisation : str, default "area-by-area"
+        "area-by-area" or "exact", as in `network_model`.
+    loads : sequence of LoadStep, optional
+        Steps of the loads in the usual operation; None for those of B18's scenario 1 in the areas that exist.
+    faults : sequence of AreaFault, default ()
+        Of a network that is a truth for the detectors of a healthy one.
+    switches : sequence of Switch, default ()
+        Of such a network.
+
+    Returns
+    -------
+    Plant
+        Of Boem et al. 2018 (B18).
+
+    Raises
+    ------
+    ValueError
+        For settings that do not fit.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.plants import power_network
+    >>> plant = power_network(loads=())
+    >>> len(plant.states), len(plant.sensors)
+    (60, 94)
     """
     if isinstance(areas, NetworkParameters):
         c = areas

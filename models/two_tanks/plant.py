@@ -191,8 +191,28 @@ def rest_of_truth(c: Tanks) -> Array:
 def two_tanks(*, swing: float = 0.0, outlet: float = 1.0) -> Plant:
     """Return the tanks as a plant with the states level_1, level_2 (m); both levels and both flows are measured.
 
-    swing: amplitude of the inflow over its nominal value, a sine of SWING_PERIOD; 0 for rest. outlet: factor of both nominal
-    outlets. Raises ValueError unless swing is from 0 to 0.5 and outlet from 0.8 to 1.2, where no tank runs dry or overflows.
+    Parameters
+    ----------
+    swing : float, default 0
+        Amplitude of the inflow over its nominal value, a sine of SWING_PERIOD; 0 for rest.
+    outlet : float, default 1
+        Factor of both nominal outlets.
+
+    Returns
+    -------
+    Plant
+        With a reading every 5 s.
+
+    Raises
+    ------
+    ValueError
+        Unless swing is from 0 to 0.5 and outlet from 0.8 to 1.2, where no tank runs dry or overflows.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> two_tanks().sensor_names, two_tanks().dt
+    (('l1', 'l2', 'q12', 'q2'), 5.0)
     """
     if not 0 <= swing <= 0.5:
         raise ValueError(f"swing is {swing}; expected a share of the nominal inflow from 0 to 0.5")

@@ -49,11 +49,40 @@ LARGE, CONFOUNDED = 5.0, 0.9  # sigma and |rho| beyond which a limit is marked
 class IdentifiabilityResult:
     """The smallest sensor faults that a filter of the plant can detect; N sensors, P hypotheses of the process.
 
-    All sizes (N,) are in standard deviations sigma of the sensor; inf where the readings do not show the fault. bias, drift:
-    with what the plant states as its uncertainty estimated along; bias_known, drift_known: with all of that known. drift: the
-    size reached after `samples` of a steady growth. rho, rho_drift (N, P): what the innovations of a bias and of a drift have
-    in common with those of a jump of each hypothesis, from -1 to 1. between (N, N): the same of the biases of two sensors.
-    samples: after the onset. settle: before it.
+    All sizes (N,) are in standard deviations sigma of the sensor; inf where the readings do not show the fault.
+
+    Attributes
+    ----------
+    plant : str
+        Its name.
+    sensors : tuple of str (N,)
+        Their names.
+    units : tuple of str (N,)
+        Of the sensors.
+    sigma : array (N,)
+        Standard deviations of the readings, in the units.
+    hypotheses : tuple of str (P,)
+        Of the process.
+    bias : array (N,)
+        The smallest bias, with what the plant states as its uncertainty estimated along.
+    bias_known : array (N,)
+        The same with all of that known.
+    drift : array (N,)
+        The size reached after `samples` of a steady growth, with what the plant states as its uncertainty estimated along.
+    drift_known : array (N,)
+        The same with all of that known.
+    rho, rho_drift : array (N, P)
+        What the innovations of a bias and of a drift have in common with those of a jump of each hypothesis, from -1 to 1.
+    between : array (N, N)
+        The same of the biases of two sensors.
+    samples : int
+        After the onset.
+    settle : int
+        Samples before it.
+
+    Examples
+    --------
+    See `identifiability`.
     """
 
     plant: str
@@ -138,8 +167,33 @@ def identifiability(plant: Plant, samples: float = 60, settle: int = 60) -> Iden
     """State which sensor faults can be detected on a plant, and with which error of the model a bias is confounded.
 
     The extended Kalman filter runs along the usual operation (`plant.input_at`) from x0, without noise, on the plant alone and
-    on `augment(plant)`; the fault begins after `settle` samples. samples: after the onset, or inf for as many as still lower
-    a limit by a hundredth, at most 3840. ValueError for other numbers, and where the model has no finite values on the way.
+    on `augment(plant)`.
+
+    Parameters
+    ----------
+    plant : Plant
+        The model.
+    samples : float, default 60
+        After the onset, or inf for as many as still lower a limit by a hundredth, at most 3840.
+    settle : int, default 60
+        Samples before the fault begins.
+
+    Returns
+    -------
+    IdentifiabilityResult
+        str(...) of it is a table.
+
+    Raises
+    ------
+    ValueError
+        For other numbers, and where the model has no finite values on the way.
+
+    Examples
+    --------
+    >>> from fusion_sfdia.plants import IdentifiabilityResult, identifiability, two_tanks
+    >>> limits: IdentifiabilityResult = identifiability(two_tanks(), samples=20, settle=20)
+    >>> limits.sensors, bool((limits.bias >= limits.bias_known).all())
+    (('l1', 'l2', 'q12', 'q2'), True)
     """
     whole("settle", settle, least=0)
     if samples != np.inf and whole("samples", samples, least=1) > LAST:

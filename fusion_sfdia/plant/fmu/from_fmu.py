@@ -42,26 +42,64 @@ def from_fmu(
 ) -> Plant:
     """Return the plant of an FMU of FMI 2.0 or 3.0, with the names, units and limits of its modelDescription.xml.
 
-    Noise, which no FMU states, by the names of variables in their units, or as one number, a share of each variable's nominal
-    value (where the FMU states none, of its value at the start): sensors: standard deviation of each reading, {variable: sigma}
-    or {sensor: {"measures": variable, "sigma": sigma, ...}} with fields of `Sensor`; a share makes each output a sensor that
-    changes continuously.
-    initial_sigma, process_sigma: of each state, as in `Signal`.
+    Noise, which no FMU states, is given by the names of variables in their units, or as one number, a share of each variable's
+    nominal value (where the FMU states none, of its value at the start).
 
-    dt: seconds between readings, that of the FMU's default experiment unless given. inputs: those of the plant, all of the FMU
-    by default; others keep their start values. start_values: of parameters, inputs and states in place of the FMU's.
-    unknown: parameters that are not known exactly, {name: standard deviation} or {name: {"sd": ..., ...}} with fields of
-    `Parameter`. input_errors: as `inputs` of `Uncertainty`.
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    sensors : mapping or float
+        Standard deviation of each reading, {variable: sigma} or {sensor: {"measures": variable, "sigma": sigma, ...}} with
+        fields of `Sensor`; a share makes each output a sensor that changes continuously.
+    initial_sigma : mapping of str to float, or float
+        Of each state, as in `Signal`.
+    process_sigma : mapping of str to float, or float
+        Of each state, as in `Signal`.
+    dt : float, optional
+        Seconds between readings, that of the FMU's default experiment unless given.
+    inputs : sequence of str, optional
+        Those of the plant, all of the FMU by default; others keep their start values.
+    states : sequence of str, optional
+        Of co-simulation, the memory of the FMU: by default those whose derivatives it states.
+    start_values : mapping, optional
+        Of parameters, inputs and states in place of the FMU's.
+    unknown : mapping, optional
+        Parameters that are not known exactly, {name: standard deviation} or {name: {"sd": ..., ...}} with fields of
+        `Parameter`.
+    input_errors : mapping of str to float, optional
+        As `inputs` of `Uncertainty`.
+    kind : str, optional
+        "model exchange" or "co-simulation", by default the first it has.
+    substeps : int, default 1
+        Of the integration of model exchange within dt.
+    max_dt : float, optional
+        The longest step at once in s, as in `discretise`.
 
+    Returns
+    -------
+    Plant
+        It opens the FMU in each process that uses it, from the same file; what fails while it runs is an ArithmeticError.
+
+    Raises
+    ------
+    MissingPackageError
+        Without FMPy.
+    ValueError
+        For what is no such FMU, for events, unknown variables, and noise that is not stated.
+
+    Notes
+    -----
     Model exchange is integrated by Runge-Kutta 4 with held inputs in `substeps` steps, with max_dt, as in `discretise`.
     Jacobians are exact where the FMU gives directional derivatives of the sensors' variables, else central differences.
     Co-simulation is stepped by its own solver, from states that are set in the FMU as it was instantiated: it must be able to
-    get and set its state and have no memory beyond `states` (by default those whose derivatives it states). Jacobians
-    are differences as wide as its tolerance asks for. kind: "model exchange" or "co-simulation", by default the first it has.
+    get and set its state and have no memory beyond `states`. Jacobians are differences as wide as its tolerance asks for.
 
-    The FMU opens in each process that uses the plant, from the same file; what fails while it runs is an ArithmeticError.
-    Raises MissingPackageError without FMPy; ValueError for what is no such FMU, for events, unknown variables, and noise that
-    is not stated.
+    Examples
+    --------
+    >>> from fusion_sfdia.plants import from_fmu
+    >>> plant = from_fmu("tanks.fmu", sensors={"level_1": 0.01, "level_2": 0.01}, initial_sigma=0.01,
+    ...                  process_sigma=1e-3)  # doctest: +SKIP
     """
     interface, start = read_interface(path, kind), table_of("start_values", start_values)
     of_unknown, errors = table_of("unknown", unknown), table_of("input_errors", input_errors)
