@@ -32,8 +32,28 @@ from fusion_sfdia.report.result import Result
 class Diagnoser:
     """A detector on its plant; `fusion_sfdia.detector` makes it.
 
-    detector: to be stepped, as `run` and `Watch` take it. name: shown in reports. build: makes the detector for another plant;
-    None for an object. fitted: whether `fit` has fitted it to readings of this plant.
+    Attributes
+    ----------
+    detector : Detector
+        To be stepped, as `run` and `Watch` take it.
+    name : str
+        Shown in reports.
+    build : NamedDetector or None
+        Makes the detector for another plant; None for an object.
+    fitted : bool
+        Whether `fit` has fitted it to readings of this plant.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import detector, simulate
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> healthy = simulate(plant, 300, seeds=range(4), process_noise=True)
+    >>> limits = detector("limits", plant).fit(healthy, false_alarm=0.01)
+    >>> limits.name, limits.fitted
+    ('limits', True)
+    >>> limits.diagnose(simulate(plant, 50, seeds=[9])).decisions.isolated.shape
+    (50, 4)
     """
 
     detector: Detector
@@ -52,10 +72,27 @@ class Diagnoser:
     def fit(self, healthy: Any, false_alarm: str | float = "1/day", *, log_map: LogMap | str | Path | None = None) -> Diagnoser:
         """The detector fitted to healthy readings of the plant; one that does not learn gets its thresholds from them.
 
-        healthy: a file or a frame, which `load_log` reads with log_map; what `load_log` or `check_log` read; a Log, a Recording
-        or a tuple t, y, u, also of several runs side by side; None for simulated runs. false_alarm: "1/day", "2/hour", or a
-        rate per sample over all sensors. ValueError where the readings do not fit, look misread or are too few for the rate;
-        NotApplicableError as the detector raises it.
+        Parameters
+        ----------
+        healthy : file, frame, Log, Recording, tuple or None
+            A file or a frame, which `load_log` reads with log_map; what `load_log` or `check_log` read; a Log, a Recording or a
+            tuple t (K,), y (K, ..., N), u (K, ..., m), also of several runs side by side; None for simulated runs.
+        false_alarm : str or float, default "1/day"
+            "1/day", "2/hour", or a rate per sample over all sensors.
+        log_map : LogMap, str or Path, optional
+            How a file or frame is written, or the file that states it.
+
+        Returns
+        -------
+        Diagnoser
+            A new one; this one stays as it is.
+
+        Raises
+        ------
+        ValueError
+            Where the readings do not fit, look misread or are too few for the rate.
+        NotApplicableError
+            As the detector raises it.
         """
         rate = Rate.of(false_alarm).per_sample(self.plant.dt)
         if isinstance(loaded := _loaded(self.plant, healthy, log_map, "healthy log: "), LoadedLog):
@@ -71,12 +108,35 @@ class Diagnoser:
     def diagnose(self, *data: Any, gap: int = 3, log_map: LogMap | str | Path | None = None) -> Result:
         """Run the detector over recorded readings and collect what it isolates into events, see `diagnose_run`.
 
-        data: a file or a frame, which `load_log` reads with log_map; what `load_log` or `check_log` read; a Log, a Recording of
-        one run, or t (K,), y (K, N), u (K, m), see `as_log`. The same log has the same Diagnosis in each of these forms, and on
-        the command line. Time stamps give events their wall-clock times; sensors whose unit `check_log` suspects, and readings
-        that only repeat the one before, are taken as missing; sensors that are coarse or cyclic, which the plant does not
-        state, have more noise, or a period (`Diagnosis.of_log` states what was found, `Diagnosis.suspects` the former).
-        ValueError where the data do not fit; DiagnosisWarning for limits of the diagnosis that the events do not show.
+        The same log has the same Diagnosis in each of the forms below, and on the command line. Time stamps give events their
+        wall-clock times. Sensors whose unit `check_log` suspects, and readings that only repeat the one before, are taken as
+        missing; sensors that are coarse or cyclic, which the plant does not state, have more noise, or a period
+        (`Diagnosis.of_log` states what was found, `Diagnosis.suspects` the former).
+
+        Parameters
+        ----------
+        *data : file, frame, Log, Recording or arrays
+            A file or a frame, which `load_log` reads with log_map; what `load_log` or `check_log` read; a Log, a Recording of
+            one run, or t (K,) in s, y (K, N), u (K, m), see `as_log`.
+        gap : int, default 3
+            Samples without a verdict after which an event closes.
+        log_map : LogMap, str or Path, optional
+            How a file or frame is written, or the file that states it.
+
+        Returns
+        -------
+        Result
+            The events, the Decisions behind them and the readings.
+
+        Raises
+        ------
+        ValueError
+            Where the data do not fit.
+
+        Warns
+        -----
+        DiagnosisWarning
+            For limits of the diagnosis that the events do not show.
         """
         one = data[0] if len(data) == 1 else None
         source = Path(one).name if isinstance(one, str | Path) else "a log"
@@ -87,14 +147,43 @@ class Diagnoser:
         return Result.of(found, plant=self.plant, detector=self.name, log=log, columns=one.columns, source=source)
 
     def stream(self, **settings: Any) -> Watch:
-        """The detector over rows as they come, see `Watch` for the settings; `Watch.update` takes a row.
+        """The detector over rows as they come; `Watch.update` takes a row.
 
         Rows are in the units of the plant; sensors that are not read are named by `unread`.
+
+        Parameters
+        ----------
+        **settings
+            Those of `Watch`.
+
+        Returns
+        -------
+        Watch
+            Before its first row.
+
+        Examples
+        --------
+        >>> from fusion_sfdia import detector, simulate
+        >>> recording = simulate(detector("robust-glr", "two-tanks").plant, 5, seeds=[1])
+        >>> watch = detector("robust-glr", "two-tanks").stream(gap=5)
+        >>> [len(watch.update(t, y[0], u)) for t, y, u in zip(recording.t, recording.y, recording.u)]
+        [0, 2, 1, 1, 1]
         """
         return Watch(self.detector, **settings)
 
     def save(self, path: str | Path) -> None:
-        """Write the detector to a file, see `save_detector`."""
+        """Write the detector to a file; `load_detector` reads it.
+
+        Parameters
+        ----------
+        path : str or Path
+            The .npz file to write.
+
+        Raises
+        ------
+        ValueError
+            As `save_detector` does.
+        """
         save_detector(path, self.detector)
 
 
@@ -116,9 +205,35 @@ def detector(
 ) -> Diagnoser:
     """A detector on a plant, ready to be fitted, to diagnose a log, or to take row after row.
 
-    what: a registered name, a class or a function that builds a detector, which need the plant, an object or a name; or a
-    Detector that is built already, such as `load_detector` returns it. ValueError where names are unknown, `what` is no
-    detector, or the plant is missing or given twice; NotApplicableError where the plant lacks what the method needs.
+    Parameters
+    ----------
+    what : str, class, callable, Detector, NamedDetector or Diagnoser
+        A registered name, a class or a function that builds a detector, which need the plant; or a Detector that is built
+        already, such as `load_detector` returns it.
+    plant : Plant or str, optional
+        An object or a name.
+
+    Returns
+    -------
+    Diagnoser
+        The detector, its plant and its name.
+
+    Raises
+    ------
+    ValueError
+        Where names are unknown, `what` is no detector, or the plant is missing or given twice.
+    NotApplicableError
+        Where the plant lacks what the method needs.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import detector
+    >>> from fusion_sfdia.detectors import RobustBank
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> detector("robust-glr", "two-tanks").plant.sensor_names
+    ('l1', 'l2', 'q12', 'q2')
+    >>> detector(RobustBank(two_tanks(), false_alarm=1e-4)).detector.false_alarm
+    0.0001
     """
     if isinstance(what, Diagnoser):
         if plant is None or plant is what.plant:
@@ -146,5 +261,40 @@ def diagnose(
     gap: int = 3,
     log_map: LogMap | str | Path | None = None,
 ) -> Result:
-    """Diagnose recorded readings: `detector(what, plant).diagnose(*data)`, see there."""
+    """Diagnose recorded readings: `detector(what, plant).diagnose(*data)`, see there.
+
+    Parameters
+    ----------
+    what : str, class, callable, Detector, NamedDetector or Diagnoser
+        As of `detector`.
+    *data : file, frame, Log, Recording or arrays
+        As of `Diagnoser.diagnose`.
+    plant : Plant or str, optional
+        As of `detector`.
+    gap : int, default 3
+        Samples without a verdict after which an event closes.
+    log_map : LogMap, str or Path, optional
+        How a file or frame is written, or the file that states it.
+
+    Returns
+    -------
+    Result
+        The events, the Decisions behind them and the readings.
+
+    Raises
+    ------
+    ValueError
+        As `detector` and `Diagnoser.diagnose` do.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import Fault, Log, diagnose, simulate
+    >>> from fusion_sfdia.faults import apply_faults
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> healthy = simulate(plant, 100, seeds=[1])
+    >>> readings = apply_faults(plant, healthy.t, healthy.y, [Fault("l1", "bias", onset=300.0, magnitude=0.08)])
+    >>> diagnose("robust-glr", Log(healthy.t, readings.y[:, 0], healthy.u), plant=plant).verdict
+    'sensor l1'
+    """
     return detector(what, plant).diagnose(*data, gap=gap, log_map=log_map)

@@ -19,8 +19,34 @@ if TYPE_CHECKING:
 class Result(Diagnosis):
     """A Diagnosis with the readings it was made from.
 
-    plant: of the detector. detector: its name. log: as it was judged. columns: of the file or frame, whose tags and units
-    `plot` and `report` show. source: name of the file, for the report. basis: by what it was judged, where that is no model.
+    Attributes
+    ----------
+    plant : Plant
+        Of the detector.
+    detector : str
+        Its name.
+    log : Log
+        As it was judged.
+    columns : tuple of Source
+        Of the file or frame, whose tags and units `plot` and `report` show.
+    source : str
+        Name of the file, for the report.
+    basis : str
+        By what it was judged, where that is no model.
+
+    Notes
+    -----
+    The other attributes are those of `Diagnosis`.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import diagnose, simulate
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> plant = two_tanks()
+    >>> recording = simulate(plant, 100, seeds=[1])
+    >>> result = diagnose("robust-glr", recording, plant=plant)
+    >>> result.detector, result.log.y.shape
+    ('robust-glr', (100, 4))
     """
 
     plant: Plant
@@ -32,17 +58,52 @@ class Result(Diagnosis):
 
     @classmethod
     def of(cls, found: Diagnosis, **readings: Any) -> Result:
-        """The result of a Diagnosis and its readings, the further fields."""
+        """The result of a Diagnosis and its readings.
+
+        Parameters
+        ----------
+        found : Diagnosis
+            What was found.
+        **readings
+            The further fields.
+
+        Returns
+        -------
+        Result
+            Both together.
+        """
         return cls(**{f.name: getattr(found, f.name) for f in fields(found)}, **readings)
 
     def plot(self) -> Figure:
-        """Readings and reconstructions of the sensors with events, without any of the first sensor, as a matplotlib Figure."""
+        """Readings and reconstructions of the sensors with events, without any of the first sensor, as a matplotlib Figure.
+
+        Returns
+        -------
+        Figure
+            Not shown and not saved.
+        """
         from fusion_sfdia.report.log_report import draw
 
         return draw(*self._shown())
 
     def report(self, path: str | Path) -> Path:
-        """Write the report as one HTML file, whole or not at all, and return its path; ValueError for another suffix."""
+        """Write the report as one HTML file, whole or not at all, and return its path.
+
+        Parameters
+        ----------
+        path : str or Path
+            A file that ends in .html.
+
+        Returns
+        -------
+        Path
+            Of the file.
+
+        Raises
+        ------
+        ValueError
+            For another suffix.
+        """
         from fusion_sfdia.report.log_page import About, write_page
 
         if (path := Path(path)).suffix != ".html":

@@ -49,9 +49,39 @@ NAME, BASIS = "the monitor", "judged by healthy logs, without a model"
 class Monitor:
     """What was learnt from healthy logs of one plant; `Monitor.fit` makes it.
 
-    channels: which columns are used, and how. dt: step of the grid (s). rate: the stated share of rows in alarm, and per_row
-    what the limits are for. healthy: rows of each log, and where it begins and ends, in words. logs: they, in rows of
-    the grid.
+    Attributes
+    ----------
+    channels : Channels
+        Which columns are used, and how.
+    dt : float
+        Step of the grid in s.
+    rate : Rate
+        The stated share of rows in alarm.
+    per_row : float
+        The share of rows in alarm that the limits are for.
+    learnt : LearntLimits
+        The limits.
+    healthy : tuple of (str, int, str, str)
+        Of each log its name, its rows, and where it begins and ends, in words.
+    logs : tuple of Log
+        They, in rows of the grid.
+    remarks : tuple of str
+        What is to be known of what was learnt.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion_sfdia import Log, Monitor, Signal
+    >>> def log(seed, rows=400):
+    ...     rng = np.random.default_rng(seed)
+    ...     y = np.sin(np.arange(rows) / 30)[:, None] * [1.0, 0.8, 0.5] + 0.02 * rng.standard_normal((rows, 3))
+    ...     return Log(np.arange(rows) * 60.0, y, np.zeros((rows, 0)))
+    >>> monitor = Monitor.of_logs([Signal("a"), Signal("b"), Signal("c")], [log(1), log(2), log(3)])
+    >>> faulty = log(4)
+    >>> faulty.y[200:, 0] += 0.5
+    >>> found = monitor.diagnose(faulty)
+    >>> found.state, found.events[0].hypothesis
+    (<Verdict.SENSOR: 'sensor'>, 'b or c')
     """
 
     channels: Channels
@@ -76,10 +106,30 @@ class Monitor:
     ) -> Monitor:
         """Learn from healthy logs: a file or a pandas frame, or a sequence of them, each of one run.
 
-        inputs, ignore: titles of columns that act on the plant, and that are left out; all others but the time are sensors.
-        log_map: how the logs are written, or the file that states it. false_alarm: share of rows in alarm, or such as "1/week".
-        say: called with each log as it was read. ValueError for files that cannot be read, for logs that do not fit or are too
-        short, and where no channel can be learnt.
+        Parameters
+        ----------
+        healthy : file, frame or sequence of them
+            The logs; columns that are no inputs, not ignored and not the time are sensors.
+        inputs : sequence of str, default ()
+            Titles of columns that act on the plant.
+        ignore : sequence of str, default ()
+            Titles of columns that are left out.
+        log_map : LogMap, str or Path, optional
+            How the logs are written, or the file that states it.
+        false_alarm : float, str or Rate, default 0.01
+            Share of rows in alarm, or such as "1/week".
+        say : callable, optional
+            Called with each source and its log as it was read.
+
+        Returns
+        -------
+        Monitor
+            Which diagnoses logs of the same columns.
+
+        Raises
+        ------
+        ValueError
+            For files that cannot be read, for logs that do not fit or are too short, and where no channel can be learnt.
         """
         sources = list(healthy) if isinstance(healthy, list | tuple) else [healthy]
         if not sources:
@@ -110,9 +160,32 @@ class Monitor:
     ) -> Monitor:
         """Learn from healthy logs, each of one run: t (K,), y (K, N) and u (K, m), NaN where missing.
 
-        false_alarm: share of rows in alarm, or such as "1/day". dt: step of the grid (s), None for that of the logs. names,
-        clocks: of the logs, in words.
-        ValueError for logs that do not fit, that are too short, or of which no channel can be learnt.
+        Parameters
+        ----------
+        sensors : sequence of Signal (N,)
+            Name and unit of each column of y.
+        healthy : sequence of Log
+            At least one.
+        inputs : sequence of Signal (m,), default ()
+            Name and unit of each column of u.
+        false_alarm : float, str or Rate, default 0.01
+            Share of rows in alarm, or such as "1/day".
+        dt : float, optional
+            Step of the grid in s, None for that of the logs.
+        names : sequence of str, default ()
+            Of the logs.
+        clocks : sequence of Clock, default ()
+            Of the logs, for their times in words.
+
+        Returns
+        -------
+        Monitor
+            Which diagnoses logs of the same sensors and inputs.
+
+        Raises
+        ------
+        ValueError
+            For logs that do not fit, that are too short, or of which no channel can be learnt.
         """
         if not healthy:
             raise ValueError("there are no healthy logs; expected at least one")
@@ -159,7 +232,22 @@ class Monitor:
     def update(self, healthy: Any, *, log_map: LogMap | str | Path | None = None) -> Monitor:
         """A monitor that has learnt from later healthy logs as well, with what has changed among its remarks.
 
-        healthy: as for `fit`, of the same columns. ValueError for other columns, and for rows that are further apart.
+        Parameters
+        ----------
+        healthy : file, frame or sequence of them
+            As for `fit`, of the same columns.
+        log_map : LogMap, str or Path, optional
+            How the logs are written, or the file that states it.
+
+        Returns
+        -------
+        Monitor
+            A new one; this one stays as it is.
+
+        Raises
+        ------
+        ValueError
+            For other columns, and for rows that are further apart.
         """
         sources = list(healthy) if isinstance(healthy, list | tuple) else [healthy]
         read = [source if isinstance(source, LoadedLog) else self.read(source, log_map) for source in sources]
@@ -175,15 +263,46 @@ class Monitor:
         return replace(found, healthy=(*self.healthy, *origin), remarks=(*_changes(self, found, later, names), *found.remarks))
 
     def read(self, source: Any, log_map: LogMap | str | Path | None = None, *, absent_sensors: bool = False) -> LoadedLog:
-        """Read a log, a file or a pandas frame, of the columns that were learnt; ValueError where one is not there.
+        """Read a log, a file or a pandas frame, of the columns that were learnt.
 
-        absent_sensors: whether sensors without a column are missing throughout.
+        Parameters
+        ----------
+        source : file or frame
+            The log.
+        log_map : LogMap, str or Path, optional
+            How it is written, or the file that states it.
+        absent_sensors : bool, default False
+            Whether sensors without a column are missing throughout.
+
+        Returns
+        -------
+        LoadedLog
+            As `diagnose` takes it.
+
+        Raises
+        ------
+        ValueError
+            Where a column is not there.
         """
         return load(source, self.channels.sensors, self.channels.inputs, _map(log_map), absent_sensors=absent_sensors)
 
     def diagnose(self, log: Any, clock: Clock = SECONDS, *, log_map: LogMap | str | Path | None = None) -> Result:
-        """Diagnose a log of one run: a file, a pandas frame, what `read` gave, or a Log, y (K, N) and u (K, m) of all sensors
-        and inputs, NaN where missing. clock: of a Log. log_map: how a file is written.
+        """Diagnose a log of one run.
+
+        Parameters
+        ----------
+        log : file, frame, LoadedLog or Log
+            A file, a pandas frame, what `read` gave, or a Log, y (K, N) and u (K, m) of all sensors and inputs, NaN where
+            missing.
+        clock : Clock, default SECONDS
+            Of a Log.
+        log_map : LogMap, str or Path, optional
+            How a file is written, or the file that states it.
+
+        Returns
+        -------
+        Result
+            The events, the Decisions behind them and the readings, a row for each row of the grid.
         """
         source = Path(log).name if isinstance(log, str | Path) else "a log"
         if isinstance(log, Log):
@@ -199,7 +318,18 @@ class Monitor:
         )
 
     def judge(self, log: Log) -> list[Verdicts]:
-        """The verdicts on a log, of its pieces between gaps of more than 60 rows."""
+        """The verdicts on a log, of its pieces between gaps of more than 60 rows.
+
+        Parameters
+        ----------
+        log : Log
+            Of one run, with all sensors and inputs.
+
+        Returns
+        -------
+        list of Verdicts
+            One for each piece.
+        """
         found = []
         for piece in pieces_of(self._fitting(log), self.dt):
             parts, past = [], Past.none(self.channels, self.learnt)
@@ -211,9 +341,19 @@ class Monitor:
         return found
 
     def stream(self, state: str | Path | None = None, **settings: Any) -> Watch:
-        """The monitor over rows as they come: `take(t, y, u)` decides as `diagnose` does on the rows so far.
+        """The monitor over rows as they come: `Watch.update` decides as `diagnose` does on the rows so far.
 
-        state: a file that `Watch.save` wrote, from which it goes on. settings: further ones of `Watch`.
+        Parameters
+        ----------
+        state : str or Path, optional
+            A file that `Watch.save` wrote, from which it goes on.
+        **settings
+            Further ones of `Watch`.
+
+        Returns
+        -------
+        Watch
+            Before its next row.
         """
         of_monitor = {"gap": JOINED, "kinds": False, "repeats": True, "unknown_inputs": True, "longest_gap": LONG * self.dt}
         detector = LiveMonitor(self.channels, self.dt, self.learnt)
@@ -236,7 +376,13 @@ class Monitor:
         return Log(t, y, u)
 
     def smallest(self) -> dict[str, dict[int, float]]:
-        """Of each sensor the smallest lasting bias that is found with a probability of 0.9, in its unit, by rows of window."""
+        """Of each sensor the smallest lasting bias that is found with a probability of 0.9, in its unit, by rows of window.
+
+        Returns
+        -------
+        dict of str to dict of int to float
+            By sensor, then by rows of the window.
+        """
         limits = self.learnt.limits
         found: dict[str, dict[int, float]] = {}
         for i, name in enumerate(self.channels.names[: self.channels.count]):
@@ -288,7 +434,13 @@ class Monitor:
         return "\n".join(lines)
 
     def save(self, path: str | Path) -> None:
-        """Write the monitor to one file; `Monitor.load` reads it."""
+        """Write the monitor to one file; `Monitor.load` reads it.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+        """
         arrays, learnt = packed(self.channels, self.learnt)
         about = {"version": VERSION, "dt": self.dt, "rate": str(self.rate), "per_row": self.per_row}
         text = json.dumps({**about, "healthy": self.healthy, "remarks": self.remarks, **learnt})
@@ -297,7 +449,23 @@ class Monitor:
 
     @classmethod
     def load(cls, path: str | Path) -> Monitor:
-        """Read a monitor that `save` wrote; ValueError, which names the file, where it is none."""
+        """Read a monitor that `save` wrote.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+
+        Returns
+        -------
+        Monitor
+            As it was saved.
+
+        Raises
+        ------
+        ValueError
+            Which names the file, where it is none.
+        """
         try:
             arrays = read_arrays(Path(path))
             about = json.loads(str(arrays.pop("monitor")))
