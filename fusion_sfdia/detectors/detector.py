@@ -336,10 +336,10 @@ def run(detector: Detector, state: State, *data: Any, covariance: bool = False) 
     Examples
     --------
     >>> from fusion_sfdia import run, simulate
-    >>> from fusion_sfdia.detectors import RobustBank
+    >>> from fusion_sfdia.detectors import CentralFilter
     >>> from fusion_sfdia.plants import two_tanks
-    >>> bank = RobustBank(two_tanks())
-    >>> state, decisions = run(bank, bank.init(2), simulate(bank.plant, 20, seeds=[0, 1]))
+    >>> detector = CentralFilter(two_tanks())
+    >>> state, decisions = run(detector, detector.init(2), simulate(detector.plant, 20, seeds=[0, 1]))
     >>> decisions.residual.shape, int(state.steps)
     ((20, 2, 4), 20)
     """

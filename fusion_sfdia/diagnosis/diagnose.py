@@ -90,7 +90,7 @@ class Diagnosis:
     >>> plant = two_tanks()
     >>> healthy = simulate(plant, 100, seeds=[1])
     >>> readings = apply_faults(plant, healthy.t, healthy.y, [Fault("l1", "bias", onset=300.0, magnitude=0.08)])
-    >>> found: Diagnosis = diagnose("robust-glr", Log(healthy.t, readings.y[:, 0], healthy.u), plant=plant)
+    >>> found: Diagnosis = diagnose("loo-glr", Log(healthy.t, readings.y[:, 0], healthy.u), plant=plant)
     >>> found.state, [event.hypothesis for event in found.events]
     (<Verdict.SENSOR: 'sensor'>, ['l1'])
     """

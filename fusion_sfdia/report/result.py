@@ -43,10 +43,10 @@ class Result(Diagnosis):
     >>> from fusion_sfdia import diagnose, simulate
     >>> from fusion_sfdia.plants import two_tanks
     >>> plant = two_tanks()
-    >>> recording = simulate(plant, 100, seeds=[1])
-    >>> result = diagnose("robust-glr", recording, plant=plant)
+    >>> recording = simulate(plant, 30, seeds=[1])
+    >>> result = diagnose("kf-chi2", recording, plant=plant)
     >>> result.detector, result.log.y.shape
-    ('robust-glr', (100, 4))
+    ('kf-chi2', (30, 4))
     """
 
     plant: Plant

@@ -18,7 +18,7 @@ GROUPS = [getattr(fusion_sfdia, group) for group in fusion_sfdia._GROUPS]
 NAMES = [(fusion_sfdia, name) for name in fusion_sfdia.__all__ if name not in ("__version__", *fusion_sfdia._GROUPS)]
 NAMES += [(group, name) for group in GROUPS for name in group.__all__]
 PUBLIC = {f"{module.__name__}.{name}": getattr(module, name) for module, name in NAMES}
-LONG = {"compare", "inspect", "tune"}  # examples of more than two seconds
+LONG = {"audit", "commissioned", "compare", "inspect", "tune"}  # examples of more than two seconds
 HEADING = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 DESCRIBED = re.compile(r"^(\*{0,2}\w+(?:, \*{0,2}\w+)*)(?: : .+)?$", re.MULTILINE)
 

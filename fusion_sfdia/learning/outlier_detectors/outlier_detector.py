@@ -70,10 +70,10 @@ class SensorFaultDetector(OutlierMixin, BaseEstimator):  # type: ignore[misc]
     >>> rng = np.random.default_rng(0)
     >>> def rows(count):
     ...     return np.sin(np.arange(count) / 30)[:, None] * [1.0, 0.8, 0.5] + 0.02 * rng.standard_normal((count, 3))
-    >>> detector = SensorFaultDetector(kind="factors", order=1, false_alarm=0.02).fit(rows(400))
-    >>> X = rows(100)
-    >>> X[60:, 1] += 1.0
-    >>> int(detector.predict(X)[70]), detector.isolated(X)[70].tolist()
+    >>> detector = SensorFaultDetector(kind="factors", order=1, false_alarm=0.05).fit(rows(150))
+    >>> X = rows(60)
+    >>> X[30:, 1] += 1.0
+    >>> int(detector.predict(X)[40]), detector.isolated(X)[40].tolist()
     (-1, [False, True, False])
     """
 
