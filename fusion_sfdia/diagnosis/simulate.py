@@ -120,7 +120,7 @@ def simulate(
         it has feedback, whose controllers get the simulated readings. It is held from one reading to the next; until the first
         one the operation acts alone.
     t0 : float, default 0
-        Time before the first reading in s.
+        Time at which the runs begin, in s; a number of steps gives the first reading at t0 + plant.dt.
 
     Returns
     -------

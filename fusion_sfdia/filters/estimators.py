@@ -172,7 +172,7 @@ class Unscented(Conditioned, Moments):
 
     Parameters
     ----------
-    points : SigmaPoints
+    points : SigmaPoints, default SigmaPoints()
         The spread and the weights of the sigma points.
     redraw : bool, default True
         Whether new sigma points are drawn from the predicted moments before the update, as in textbooks. Without it, the
@@ -230,7 +230,7 @@ class Ensemble(Conditioned):
 
     Parameters
     ----------
-    settings : EnKFSettings
+    settings : EnKFSettings, default EnKFSettings()
         Size of the ensemble, the kind of update, inflation and localisation.
 
     Examples

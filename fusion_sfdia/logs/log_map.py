@@ -51,7 +51,7 @@ class Column:
         The title of the column with its quality codes.
     time : str, default ""
         The title of the column with its times, where it has its own.
-    states : mapping of str to float
+    states : mapping of str to float, default {}
         The numbers of a column of texts or truth values, {"On": 2000.0, "Off": 0.0}, before the scale and in that unit; upper
         and lower case are the same, and so are true, "TRUE" and 1.
 
@@ -111,8 +111,14 @@ class LogMap:
     tz : str, default ""
         Time zone of stamps that state none, and in which results are shown: a name, or an offset from UTC such as "+01:00" of a
         logger without summer time.
-    separator, decimal, thousands, encoding : str
-        Of a text file; by default ",", ".", "" and "utf-8-sig".
+    separator : str, default ","
+        Of a text file.
+    decimal : str, default "."
+        Of a text file.
+    thousands : str, default ""
+        Of a text file.
+    encoding : str, default "utf-8-sig"
+        Of a text file.
     preamble : int, default 0
         Of a text file: lines before the header.
     unit_row : bool, default False
@@ -147,7 +153,7 @@ class LogMap:
         Comparisons such as "feed < 5", in the log's unit, of rows in which the plant is not in operation.
     tag, value : str, default ""
         Titles of a long format, with one value a row.
-    columns : mapping of str to Column
+    columns : mapping of str to Column, default {}
         What each column is, by title; for columns that are not among them, their own title.
 
     Raises

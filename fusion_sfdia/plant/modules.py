@@ -58,11 +58,11 @@ class Modules:
         {variable: name of its module}.
     gains : mapping of str to float
         {state: L of its observer, 1/s}.
-    observer_bounds : mapping of str to ObserverBound
+    observer_bounds : mapping of str to ObserverBound, default {}
         {state: constants of (10) as published}.
-    margins : mapping of str to float
+    margins : mapping of str to float, default {}
         {variable: share of its nominal value by which a calibrated threshold is wider, or narrower, than the valid one}.
-    drift : mapping of str to float
+    drift : mapping of str to float, default {}
         {state: share of its nominal value by which it moves at most from one reading to the next}, see adaptive_threshold.
     monitor : callable, optional
         A compiled driver with the arguments after c and the result of monitoring.monitor, or None.

@@ -270,7 +270,7 @@ class Network:
         Returns
         -------
         array of int
-            The positions of the sides.
+            The positions of the sides; empty for a node that is not plugged in.
         """
         own = np.arange(self.topology.start[node], self.topology.start[node + 1])
         return own[self.closed[own]]

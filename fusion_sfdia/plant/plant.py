@@ -199,13 +199,13 @@ class Plant:
         is no default noise.
     process_bound : array (n,), optional
         Largest |w| over one nominal dt, None where not stated.
-    numerics : Numerics
+    numerics : Numerics, default Numerics()
         Jacobians and admissible steps.
-    truth : Truth
+    truth : Truth, default Truth()
         Operation, controllers and high-fidelity model of simulations.
-    structure : Structure
+    structure : Structure, default Structure()
         Scalar equations and areas.
-    uncertainty : Uncertainty
+    uncertainty : Uncertainty, default Uncertainty()
         Parameters, errors of inputs and disturbances that the model does not know, see `augment`.
 
     Raises

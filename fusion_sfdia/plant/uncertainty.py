@@ -188,13 +188,13 @@ class Uncertainty:
         side; None for the complex step, or differences where that fails.
     output_jacobian : callable, optional
         output_jacobian(t, x, u, theta) -> (..., N, n + m + p), likewise.
-    inputs : mapping of str to float
+    inputs : mapping of str to float, default {}
         Standard deviation of the constant error of an input, by its name, in its unit.
     disturbances : tuple of Disturbance, default ()
         Unknown signals.
     considered : tuple of str, default ()
         Names of states that a filter does not update, but whose uncertainty counts; `augment` adds those of this treatment.
-    changes : mapping of str to float
+    changes : mapping of str to float, default {}
         Standard deviation from which the size of a later change is judged, by the name of a parameter or `error_of` an input,
         where it differs from that of the present value: a healthy log shows a value, not how far it may change.
     at_rest : bool, default False

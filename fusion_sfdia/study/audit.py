@@ -286,8 +286,8 @@ def audit(
         Of the trials of each case.
     steps : int, default 300
         Rows of a trial, at least `FEWEST`.
-    groups : sequence of str, default all
-        Of cases.
+    groups : sequence of str, optional
+        Of cases; by default all of them.
     more : sequence of Case, default ()
         Further cases, such as `stated_cases`.
     workers : int, default 1

@@ -138,12 +138,12 @@ class ComparisonCases:
         Faults of the process.
     paper_faults : tuple of PaperFault, default ()
         Sensor faults of papers.
-    published_accuracy : callable
+    published_accuracy : callable, optional
         published_accuracy(detector, fault, quantity): share of the faults of a quantity that are judged right; None where no
         paper states it.
-    published_delay : callable
+    published_delay : callable, optional
         published_delay(detector, fault): delay of the detection; None where no paper states it.
-    settle : int
+    settle : int, default 100
         Samples that a filter needs to forget how it began, until its rate of false alarms is steady.
     other_operation : callable, optional
         other_operation(t, start): the inputs of an operation that no healthy log of the usual one shows, see

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import doctest
 import re
+from ast import literal_eval
 from collections.abc import Iterator
+from contextlib import suppress
 from enum import Enum
 from inspect import Signature, cleandoc, isclass, isfunction, signature
 from typing import Any
@@ -20,7 +22,7 @@ NAMES += [(group, name) for group in GROUPS for name in group.__all__]
 PUBLIC = {f"{module.__name__}.{name}": getattr(module, name) for module, name in NAMES}
 LONG = {"audit", "commissioned", "compare", "inspect", "tune"}  # examples of more than two seconds
 HEADING = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
-DESCRIBED = re.compile(r"^(\*{0,2}\w+(?:, \*{0,2}\w+)*)(?: : .+)?$", re.MULTILINE)
+DESCRIBED = re.compile(r"^(\*{0,2}\w+(?:, \*{0,2}\w+)*)(?: : (.+))?$", re.MULTILINE)  # names and their type
 
 
 def sections(thing: Any) -> dict[str, str]:
@@ -29,25 +31,29 @@ def sections(thing: Any) -> dict[str, str]:
     return dict(zip(parts[1::2], parts[2::2], strict=True))
 
 
-def described(thing: Any) -> set[str]:
-    """The names of parameters and attributes that a docstring describes."""
+def described(thing: Any) -> dict[str, str]:
+    """The types of the parameters and attributes that a docstring describes, by their names."""
     stated = sections(thing)
     lists = "\n".join(stated.get(title, "") for title in ("Parameters", "Attributes"))
-    return {name.strip("*") for names in DESCRIBED.findall(lists) for name in names.split(", ")}
+    return {name.strip("*"): kind for names, kind in DESCRIBED.findall(lists) for name in names.split(", ")}
 
 
-def missing(thing: Any, name: str, by: set[str]) -> list[str]:
-    """What the docstring of a callable leaves out, where `by` is what it describes."""
-    found = signature(thing)
-    lacks = [f"{name}: {p} is not described" for p in found.parameters if p not in ("self", "cls") and p not in by]
+def wrong(thing: Any, name: str, by: dict[str, str]) -> list[str]:
+    """What the docstring of a callable leaves out or states wrongly, where `by` is what it describes."""
+    found, own = signature(thing), sections(thing)
+    known = {p: by.get(p, "") for p in found.parameters if p not in ("self", "cls")}
+    lacks = [f"{name}: {p} is not described" for p in known if p not in by]
+    lacks += [f"{name}: {p} is no parameter" for p in described(thing) if "Attributes" not in own and p not in known]
+    for p, kind in known.items():
+        default = found.parameters[p].default
+        with suppress(ValueError, SyntaxError):  # an expression, such as Extended()
+            stated = literal_eval(kind.partition("default ")[2].replace("inf", "1e999"))
+            if stated != default and isinstance(default, str | int | float | tuple):
+                lacks.append(f"{name}: {p} has the default {default!r}")
     if (
         isfunction(thing)
         and found.return_annotation not in (None, "None", Signature.empty)
-        and not {
-            "Returns",
-            "Yields",
-        }
-        & {*sections(thing)}
+        and not {"Returns", "Yields"} & {*own}
     ):
         lacks.append(f"{name}: no section Returns or Yields")
     return lacks
@@ -66,12 +72,13 @@ def methods(thing: Any) -> Iterator[tuple[str, Any]]:
 def test_every_parameter_and_result_of_a_public_name_is_described(name: str) -> None:
     thing = PUBLIC[name]
     if isfunction(thing):
-        assert not missing(thing, name, described(thing))
+        assert not wrong(thing, name, described(thing))
         return
     assert isclass(thing)
-    lacks = [one for method, held in methods(thing) for one in missing(held, f"{name}.{method}", described(held))]
+    lacks = [one for method, held in methods(thing) for one in wrong(held, f"{name}.{method}", described(held))]
     if not issubclass(thing, BaseException | Enum) and not getattr(thing, "_is_protocol", False):  # which nobody calls
-        lacks += missing(thing, name, set().union(*(described(base) for base in thing.__mro__)))
+        by = dict(pair for base in reversed(thing.__mro__) for pair in described(base).items())  # inherited settings, too
+        lacks += wrong(thing, name, by)
     assert not lacks
 
 

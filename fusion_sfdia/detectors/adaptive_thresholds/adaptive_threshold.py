@@ -87,9 +87,9 @@ class AdaptiveThreshold(BatchDetector):
     bounds : str, default "corners"
         Of algebraic variables: "corners"; "inclusion", interval arithmetic through the equation, K22 (36); "sivia", set
         inversion, K24 (11); or "codac", set inversion by that library. The alternatives are wider and slow.
-    observer_bounds : mapping of str to ObserverBound
+    observer_bounds : mapping of str to ObserverBound, default {}
         {state: the constants of its observer's threshold (10), as published}.
-    margins : mapping of str to float
+    margins : mapping of str to float, default {}
         {variable: share of its nominal value} added to its threshold.
     latch : bool, default True
         The decision of a module that has fired stays, (16).

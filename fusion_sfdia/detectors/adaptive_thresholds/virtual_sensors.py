@@ -71,7 +71,7 @@ class VirtualSensors(BatchDetector):
         As of AdaptiveThreshold.
     drift : mapping of str to float, optional
         As of AdaptiveThreshold.
-    learning_rates : mapping of str to float
+    learning_rates : mapping of str to float, default {}
         {state: Gamma, 1/s} for states whose fault an adaptive observer (12) estimates, with the gain of their module. Its
         estimate is not guaranteed; the interval is.
     intersect : bool, default True

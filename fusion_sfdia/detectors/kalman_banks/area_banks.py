@@ -93,7 +93,7 @@ class RobustAreas:
         Of the whole network in one step, shared by all its sensors, as of `RobustBank` on the whole network.
     process_false_alarm : float, default 1e-5
         Of the whole network in one step, shared by all its hypotheses, likewise.
-    settings : mapping of str to any
+    settings : mapping of str to any, default {}
         Others of `RobustBank`.
 
     Raises

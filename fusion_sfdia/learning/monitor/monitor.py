@@ -294,8 +294,8 @@ class Monitor:
         log : file, frame, LoadedLog or Log
             A file, a pandas frame, what `read` gave, or a Log, y (K, N) and u (K, m) of all sensors and inputs, NaN where
             missing.
-        clock : Clock, default SECONDS
-            Of a Log.
+        clock : Clock, optional
+            Of a Log; by default its seconds.
         log_map : LogMap, str or Path, optional
             How a file is written, or the file that states it.
 

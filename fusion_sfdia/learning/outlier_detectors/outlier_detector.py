@@ -38,8 +38,8 @@ class SensorFaultDetector(OutlierMixin, BaseEstimator):  # type: ignore[misc]
         Positions of the columns that are inputs.
     kind : str, optional
         Of the model, see `Candidate`; None for the choice by left-out stretches.
-    order : int, optional
-        Of the model, see `Candidate`; None likewise.
+    order : int, default 1
+        Of a model of that kind, see `Candidate`; without effect where kind is None.
     false_alarm : float, default 0.01
         Share of healthy samples in alarm, raised to what the rows can set.
     folds : int, default 4
