@@ -67,14 +67,47 @@ def tune(
 ) -> Tuned:
     """Tune a plant and a detector on healthy readings of the real plant.
 
-    healthy: logs, each as `as_log` takes it in one argument, of one run or several. false_alarm: samples in alarm, such as
-    "1/day" or 1e-3 (per sample), see `Rate`. detector: a registered name, or a reference such as "mine.py:MyDetector". One that
-    commissions the plant by itself, "frozen-model", leaves readings that are not healthy out, and lists them (`quality`),
-    unless strict: then they raise ValueError, as for all others.
-    sources: where each log comes from, made: the date, both for the file alone. each: wraps the steps of each pass over the
-    readings, with what it is, to show progress; of "frozen-model" alone.
-    ValueError, with the reason, for readings that cannot carry it: too short for the plant or the rate, a fault among them, not
-    stationary; NotApplicableError where the detector does not apply to the plant.
+    Parameters
+    ----------
+    plant : Plant or str
+        The model.
+    *healthy : Log, Recording, frame or tuple
+        Logs, each as `as_log` takes it in one argument, of one run or several.
+    false_alarm : str, float or Rate, default "1/day"
+        Samples in alarm, such as "1/day" or 1e-3 (per sample), see `Rate`.
+    detector : str, default "frozen-model"
+        A registered name, or a reference such as "mine.py:MyDetector". One that commissions the plant by itself,
+        "frozen-model", leaves readings that are not healthy out, and lists them (`quality`).
+    strict : bool, default False
+        Such readings raise ValueError, as they do for all other detectors.
+    sources : sequence of HealthySource, default ()
+        Where each log comes from, for the file alone.
+    made : str, default ""
+        The date, for the file alone.
+    each : callable, optional
+        Wraps the steps of each pass over the readings, with what it is, to show progress; of "frozen-model" alone.
+
+    Returns
+    -------
+    Tuned
+        Noise of the sensors, thresholds and what else was set.
+
+    Raises
+    ------
+    ValueError
+        With the reason, for readings that cannot carry it: too short for the plant or the rate, a fault among them, not
+        stationary.
+    NotApplicableError
+        Where the detector does not apply to the plant.
+
+    Examples
+    --------
+    >>> from fusion_sfdia import simulate, tune
+    >>> from fusion_sfdia.plants import two_tanks
+    >>> healthy = simulate(two_tanks(), 400, seeds=[1], process_noise=True)
+    >>> tuned = tune("two-tanks", healthy, false_alarm=0.02, detector="limits")
+    >>> tuned.detector_name
+    'limits'
     """
     plant, rate, entry = registry.plant(plant), Rate.of(false_alarm), registry.find_detector(detector)
     logs = [_runs(as_runs(plant, (one,))) for one in healthy]
