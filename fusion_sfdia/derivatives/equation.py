@@ -10,11 +10,13 @@ from __future__ import annotations
 import inspect
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 from typing import Any, TypeVar
 
 import numpy as np
 from numba import njit
+from numba.core.caching import FunctionCache
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
@@ -60,10 +62,20 @@ def compiled(function: F) -> F:
     them, and numbers that change without an edit (fitted coefficients, parameters) are arguments. The code is kept beside the
     module; where that folder cannot be written to, in the user's cache, and where that cannot either, nowhere.
     """
-    try:
-        return njit(cache=True, error_model="numpy", no_cfunc_wrapper=True)(function)  # type: ignore[no-any-return]
-    except RuntimeError:  # numba finds no folder
-        return njit(error_model="numpy", no_cfunc_wrapper=True)(function)  # type: ignore[no-any-return]
+    found = njit(error_model="numpy", no_cfunc_wrapper=True)(function)
+    with suppress(RuntimeError):  # numba finds no folder
+        found._cache = _MachineCode(function)
+    return found  # type: ignore[no-any-return]
+
+
+class _MachineCode(FunctionCache):  # type: ignore[misc]
+    """The machine code on disk, of which that is compiled anew which refers to modules that the package has no longer."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except ImportError:
+            return None
 
 
 def part(function: F) -> F:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numba import njit
+from numba.core.caching import FunctionCache
 
 from fusion_sfdia.derivatives.equation import (
     argument_names,
@@ -96,3 +97,18 @@ def test_rows_of_a_batch_are_of_one_type_and_the_given_array_stays_writable(kind
         assert rows.flags.c_contiguous and not rows.flags.writeable and given.flags.writeable
     matrices = batch_rows(a, (2,), kind, 2)
     assert np.array_equal(matrices, a) and not matrices.flags.writeable and a.flags.writeable
+
+
+def test_machine_code_of_modules_that_are_gone_is_compiled_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    def gone(*_: object) -> None:
+        raise ModuleNotFoundError("No module named 'fusion_sfdia.of_before'")
+
+    monkeypatch.setattr(FunctionCache, "load_overload", gone)
+    assert compiled(_summed)(np.arange(4.0)) == 6.0
+
+
+def _summed(a: np.ndarray) -> float:
+    total = 0.0
+    for k in range(a.size):
+        total += a[k]
+    return total
