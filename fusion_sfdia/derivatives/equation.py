@@ -75,6 +75,7 @@ class _MachineCode(FunctionCache):  # type: ignore[misc]
         try:
             return super().load_overload(sig, target_context)
         except ImportError:
+            self.flush()  # else saving reads the same
             return None
 
 
