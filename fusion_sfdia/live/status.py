@@ -16,6 +16,7 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from fusion_sfdia.common.files import explained
+from fusion_sfdia.common.rate import lasting
 from fusion_sfdia.detectors.verdicts import Conclusion, Verdict
 from fusion_sfdia.diagnosis.device_health import DeviceHealth
 from fusion_sfdia.diagnosis.watch import Sample, Watch
@@ -48,7 +49,7 @@ class Report(NamedTuple):
     @property
     def line(self) -> str:
         """For people: "healthy; last row 2026-03-01 14:00:00+00:00, 360 rows, 1.2 % of readings missing, lag 0.4 s"."""
-        lag = f", lag {self.lag:.3g} s" if self.lag == self.lag else ""
+        lag = f", lag {lasting(self.lag)}" if self.lag == self.lag else ""
         last = f"last row {self.last_row}" if self.last_row else "no row"
         return f"{self.conclusion.text}; {last}, {self.rows} rows, {100 * self.missing:.3g} % of readings missing{lag}"
 
