@@ -170,7 +170,7 @@ def test_limits_of_a_diagnosis_are_warned_of() -> None:
     plant = tanks()
     t, _, y, u = readings(plant, 30, 1, seed=0)
     y, u = y[:, 0], u[:, 0]
-    with pytest.warns(DiagnosisWarning, match="FusingBank cannot raise an alarm: .* set them with fit_thresholds"):
+    with pytest.warns(DiagnosisWarning, match="FusingBank cannot raise an alarm .* or set thresholds"):
         diagnose(FusingBank(plant, Extended(), thresholds=(np.inf,) * 4), t, y, u)
     detector, silent, nothing = CentralFilter(plant), y.copy(), np.full_like(y, np.nan)
     silent[:, 1] = np.nan
