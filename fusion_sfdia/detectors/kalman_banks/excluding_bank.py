@@ -27,13 +27,17 @@ UNUSED = step_stream(0, 0)  # consistent filters draw nothing
 
 
 class ExclusionUpdate(NamedTuple):
-    """The update of a step: estimate x (..., n), covariance p (..., n, n), and the statistics of the readings used."""
+    """The update of a step: estimate x (..., n), covariance p (..., n, n), and the statistics of the readings used.
+
+    at_rest: whether p is one that was found to be finite.
+    """
 
     x: Array
     p: Array
     prior: Prior
     joint: Joint
     found: LeaveOneOut
+    at_rest: bool = False
 
 
 class SensorTests(NamedTuple):
@@ -116,9 +120,10 @@ class ExcludingBank(BatchDetector):
 
         Return the exclusions and the Decision.
         """
-        plant, (x, p, prior, joint, found) = self.model, update
+        plant, (x, p, prior, joint, found, at_rest) = self.model, update
+        lost = ~np.isfinite(x).all(axis=-1) if at_rest else broken(x, p)
         common = {
-            "estimate": x, "diverged": prior.lost | broken(x, p), "guarded": prior.guarded,
+            "estimate": x, "diverged": prior.lost | lost, "guarded": prior.guarded,
             "nis": normalised_innovation_squared(joint, found, y), "covariance": p, "capped": tested.capped,
         }  # fmt: skip
         if tested.usable.all() and not tested.isolated.any():  # no reading to replace, none to compare with the others

@@ -138,6 +138,8 @@ class Hypotheses:
     def recent(self, tangent: Array, slots: int) -> Effect:
         """Effects of the hypotheses of the recent past; tangent F (..., z, z) of the step just taken."""
         n, p = len(self.plant.states), self.added
+        if not p:
+            return Effect(np.ones(slots), self.rates)
         change = np.zeros((*tangent.shape[:-1], p + n))
         change[..., :p] = tangent[..., n:]
         change[..., :n, p:] = self.rates
@@ -145,4 +147,4 @@ class Hypotheses:
 
     def slow(self, tangent: Array, age: Array) -> Effect:
         """Effects of the hypotheses of the far past, of onsets of that age (..., L)."""
-        return Effect(age, tangent[..., len(self.plant.states) :])
+        return Effect(age, tangent[..., len(self.plant.states) :], ramp=True)

@@ -50,6 +50,15 @@ from fusion_sfdia.detectors.kalman_banks.likelihood_window import (
     updated,
     weigh,
 )
+from fusion_sfdia.detectors.kalman_banks.steady_gains import (
+    Gains,
+    SteadyGains,
+    can_rest,
+    estimate_at_rest,
+    predicted,
+    statistics_at_rest,
+    weigh_at_rest,
+)
 from fusion_sfdia.detectors.kalman_banks.window_step import LastUpdate, last_update, no_update, window_step
 from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, Prior, step_stream
 
@@ -57,12 +66,15 @@ Array = NDArray[Any]
 
 
 class LeaveOneOutMemory(NamedTuple):
-    """The filter's estimate, the sensors that are left out, the likelihood ratios of the window, and the last update of it."""
+    """The filter's estimate, the sensors that are left out, the likelihood ratios of the window, the last update of it, and
+    whether its gains are at rest (nothing where they cannot be).
+    """
 
     estimate: GaussianState
     exclusion: Exclusion
     window: Window
     update: LastUpdate
+    steady: Any  # Steady, or ()
 
 
 @dataclass(frozen=True)
@@ -123,18 +135,58 @@ class LeaveOneOutBank(ExcludingBank):
         return OnsetGrid(self.window if self.window > 1 else 0)
 
     @cached_property
-    def _bias(self) -> Array:
+    def _bias(self) -> Effect:
         """A bias changes the readings by the same in all steps since any onset."""
-        return np.ones(self.window)
+        return Effect(np.ones(self.window))
+
+    @cached_property
+    def _gains(self) -> SteadyGains | None:
+        """The gains at rest, where the plant has such."""
+        return SteadyGains(self.plant, [self._grid.oldest], [self._bias]) if self.window > 1 and can_rest(self.plant) else None
 
     def _start(self, batch: tuple[int, ...], seed: int) -> Any:
         n, count = len(self.plant.states), len(self.plant.sensors)
         estimate = self.estimator.start(self.plant, batch, step_stream(seed, 0))
         last = no_update(batch, n, count) if self.window > 1 else no_update(batch, 0, 0)
-        return LeaveOneOutMemory(estimate, none_excluded(batch, count), empty(batch, self._grid, n, count), last)
+        steady = self._gains.start(batch) if self._gains else ()
+        return LeaveOneOutMemory(estimate, none_excluded(batch, count), empty(batch, self._grid, n, count), last, steady)
 
     def _judge(self, memory: Any, now: TimeStep, y: Array, u: Array) -> tuple[Any, Decision]:
-        estimate, exclusion, window, last = memory
+        if self._gains is None:
+            return self._judge_anew(memory, now, y, u)
+        return self._gains.judged(
+            memory.steady,
+            memory.estimate.P,
+            now.dt,
+            lambda gains: self._judge_at_rest(memory, now, y, u, gains),
+            lambda: self._judge_anew(memory, now, y, u),
+        )
+
+    def _judge_at_rest(
+        self, memory: Any, now: TimeStep, y: Array, u: Array, gains: Gains
+    ) -> tuple[Array, tuple[Any, Decision]]:
+        """A step at rest, and the runs (...) in which it suffices: they use the readings of the gains, and nothing alarms."""
+        (x, _), exclusion, window, last, steady = memory
+        plant, (one_limit, window_limit), none = self.plant, self.limits, np.zeros(y.shape, bool)
+        prior, joint, rests = predicted(plant, gains, x, now, u)
+        y = plant.near(y, joint.y)
+        usable = np.isfinite(y) & ~exclusion.out
+        found = statistics_at_rest(gains, joint, y)
+        ((onsets,),) = weigh_at_rest([shifted(window, self._grid, now.k)], gains, found.whitened)
+        best = best_onset(onsets, usable, plant.sensor_sigma, first=1)
+        residual, threshold = residual_and_threshold(found, best.statistic, best.size, best.information, self.limits)
+        x, p = estimate_at_rest(gains, joint, found)
+        tested = SensorTests(usable, none, residual, threshold, found.innovation, none[..., 0], one_limit)
+        exclusion, decision = self._conclude(
+            now, y, u, exclusion, ExclusionUpdate(x, p, prior, joint, found, at_rest=True), tested
+        )
+        alarm = (found.chi_square > one_limit) | (best.statistic > window_limit) | (usable != gains.used)
+        window, steady = updated(onsets, none[..., 0]), steady._replace(rests=np.ones_like(steady.rests))
+        after = LeaveOneOutMemory(GaussianState(x, p), exclusion, window, last, steady)
+        return rests & ~alarm.any(axis=-1), (after, decision)
+
+    def _judge_anew(self, memory: Any, now: TimeStep, y: Array, u: Array) -> tuple[Any, Decision]:
+        estimate, exclusion, window, last, steady = memory
         plant, est, t = self.plant, self.estimator, now.t
         one_limit, window_limit = self.limits
         prior = est.predict(plant, estimate, now.t_start, u, now.dt, UNUSED)
@@ -150,7 +202,9 @@ class LeaveOneOutBank(ExcludingBank):
             tangent = prior.tangent if prior.tangent is not None else plant.step_jacobian_at(now.t_start, estimate.x, u, now.dt)
             H = joint.H if joint.H is not None else plant.output_jacobian_at(t, prior.core.x, u)
             step = window_step(last, tangent, H, everything, window.eta.dtype)
-            onsets = weigh(shifted(window, self._grid, now.k), step, Effect(self._bias))
+            if self._gains:
+                steady, (window,) = self._gains.awake(steady, estimate.P, [window])
+            onsets = weigh(shifted(window, self._grid, now.k), step, self._bias)
             best = best_onset(onsets, usable, plant.sensor_sigma, first=1)
             residual, threshold = residual_and_threshold(everything, best.statistic, best.size, best.information, self.limits)
             exceeds = best.statistic > window_limit
@@ -171,12 +225,14 @@ class LeaveOneOutBank(ExcludingBank):
             x, p, gain = posterior_and_gain(joint, found)
             restart = np.asarray(isolated.any(axis=-1) & self.accommodate)
             window, last = updated(onsets, restart), last_update(step, gain, restart)
+            if self._gains:
+                steady = self._gains.followed(steady, usable, now.dt, ~restart)
         else:
             x, p = posterior(joint, found)
         update = ExclusionUpdate(x, p, prior, joint, found)
         tested = SensorTests(usable, isolated, residual, threshold, size, capped, one_limit)
         exclusion, decision = self._conclude(now, y, u, exclusion, update, tested)
-        return LeaveOneOutMemory(GaussianState(x, p), exclusion, window, last), decision
+        return LeaveOneOutMemory(GaussianState(x, p), exclusion, window, last, steady), decision
 
     def _eliminate(self, found: LeaveOneOut, out: Array) -> tuple[LeaveOneOut, Array, Array]:
         """Eliminate the worst sensor above the one-sample threshold until none is above it or too many are excluded.

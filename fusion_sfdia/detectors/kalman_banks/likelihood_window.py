@@ -48,6 +48,11 @@ class OnsetGrid(NamedTuple):
         """How many onsets are kept."""
         return self.latest + (self.levels - 1) * (self.latest - self.latest // 2)
 
+    @property
+    def oldest(self) -> int:
+        """The age, in samples, that an onset has at most."""
+        return int(self.latest * self.finest * 2 ** (self.levels - 1))
+
     def onsets(self, step: int) -> list[int]:
         """The steps of the onsets, the newest first; negative ones are before the start."""
         sizes = [self.finest * 2**level for level in range(self.levels)]
@@ -84,12 +89,13 @@ class Effect(NamedTuple):
     """What hypotheses do in the present step.
 
     readings (..., L): D of the first N hypotheses, one for each sensor, as a factor of e_i. state (..., n, r): C of the last r
-    hypotheses, or None; that of the first `once` of these acts at the onset only.
+    hypotheses, or None; that of the first `once` of these acts at the onset only. ramp: whether D is the age, not 1.
     """
 
     readings: Array
     state: Array | None = None
     once: int = 0
+    ramp: bool = False
 
 
 class Shifted(NamedTuple):

@@ -4,7 +4,7 @@ Of each sensor e = u / sqrt(w), the leave-one-out innovation over its stated sta
 the model and the stated noise are right. Four things are followed, all so that a fault moves them little:
 
     size          ln kappa <- ln kappa +- STEP, + where e^2 > .455 kappa, the median of chi-square (Robbins and Monro 1951),
-                  with kappa at most exp(LARGER), as what is above it enlarges the filter's noise;
+                  with ln kappa at most LARGER, more of many sensors, as what is above it enlarges the filter's noise;
                   what all sensors have in common is followed faster, as a fault of a sensor does not move it
     correlation   q = 1 - mean of min((e_k - e_k-1)^2 / (2 kappa), CUT) / CUT_MEAN: a lasting fault changes one difference
     clipping      readings count as if |e| were CLIP at most, the worst first
@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammainc
 
+from fusion_sfdia.common.alike import single
 from fusion_sfdia.derivatives.equation import compiled, part
 from fusion_sfdia.detectors.kalman_banks import bank_kernels
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import LeaveOneOut
@@ -40,6 +41,7 @@ STEP, FIRST = 0.025, 4.0  # of ln kappa in a sample, and 1 / (FIRST + k) in the 
 TOGETHER = 0.2  # of what all sensors have in common, where all are on one side
 MEDIAN = 0.45493642311957283  # of chi-square with 1 degree of freedom
 LARGER = 0.5  # of ln kappa; by what is above it the filter's noise is enlarged, below it the difference may be chance
+MANY, LARGEST = 100, 1.0  # sensors beyond which chance alone reaches more, LARGER / 2 for each doubling, up to LARGEST
 MOST = 6.0  # |ln kappa|
 FADE = 1 - 1 / 32  # of `spread` in a sample: windows still have sums from before the filter's noise was enlarged
 CLIP = 3.0  # standard deviations
@@ -97,14 +99,19 @@ def learnt(now: ReadingNoise, found: LeaveOneOut, where: Array) -> ReadingNoise:
     """With the readings of a sample, in runs `where` (...) holds; sensors that are not used keep what is known of them."""
     batch = where.shape
     given = [bank_kernels.runs(v, batch) for v in (found.whitened, found.weight, found.used, where)]
-    after = _learnt(*given, *(np.array(bank_kernels.runs(v, batch)) for v in now))
+    after = _learnt(larger_from(now.size.shape[-1]), *given, *(np.array(bank_kernels.runs(v, batch)) for v in now))
     return ReadingNoise(*(a.reshape(v.shape) for a, v in zip(after, now, strict=True)))
 
 
+def larger_from(sensors: int) -> float:
+    """The ln kappa by what is above which the filter's noise is enlarged, of so many sensors."""
+    return max(LARGER, min(LARGER * (1 + float(np.log2(sensors / MANY)) / 2), LARGEST))
+
+
 @part
-def unseen(size: float) -> float:
+def unseen(size: float, larger: float) -> float:
     """Variance of e, from ln kappa: that part of the noise which the filter does not take into account."""
-    return float(np.exp(min(size, LARGER)))
+    return float(np.exp(min(size, larger)))
 
 
 @part
@@ -124,10 +131,10 @@ def common_correlation(own: Array, every: float) -> float:
 
 @compiled
 def _learnt(
-    u: Array, w: Array, used: Array, where: Array, size: Array, common: Array, spread: Array, last: Array, own: Array,
-    every: Array, samples: Array, level: Array, off: Array, later: Array,
+    larger: float, u: Array, w: Array, used: Array, where: Array, size: Array, common: Array, spread: Array, last: Array,
+    own: Array, every: Array, samples: Array, level: Array, off: Array, later: Array,
 ) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array, Array]:  # fmt: skip
-    """The same of B runs; what is known is written to."""
+    """The same of B runs; what is known is written to. larger: see `larger_from`."""
     B, N = u.shape
     side = np.empty(N)
     for r in range(B):
@@ -138,7 +145,7 @@ def _learnt(
             for i in range(N):
                 side[i] = 0.0
                 if used[r, i]:
-                    e, kappa = u[r, i] / np.sqrt(w[r, i]), unseen(size[r, i])
+                    e, kappa = u[r, i] / np.sqrt(w[r, i]), unseen(size[r, i], larger)
                     side[i] = 1.0 if e * e > MEDIAN * kappa else -1.0
                     total += side[i]
                     number += 1
@@ -156,7 +163,7 @@ def _learnt(
                 every[r] += (mean / differences - every[r]) / min(samples[r], ALL)
             for i in range(N):
                 size[r, i] = min(max(size[r, i] + common[r] - before + moves * side[i], -MOST), MOST)
-                spread[r, i] = max(FADE * spread[r, i], unseen(size[r, i]), 1.0)
+                spread[r, i] = max(FADE * spread[r, i], unseen(size[r, i], larger), 1.0)
             seen = samples[r] - WEIGHT
             if seen <= BLOCK or seen % BLOCK == 0:
                 q = common_correlation(own[r], every[r])
@@ -170,7 +177,7 @@ def _learnt(
 
 def is_larger(now: ReadingNoise) -> Array:
     """Whether the noise of a sensor (..., N) is clearly larger than stated."""
-    return np.asarray(now.size > LARGER)
+    return np.asarray(now.size > larger_from(now.size.shape[-1]))
 
 
 def inflation_of(now: ReadingNoise, age: Array, stated: Array) -> Inflation:
@@ -217,11 +224,16 @@ def clipped(found: LeaveOneOut, variance: Array) -> Clipped:
     """Readings with |e| at most CLIP sqrt(variance) (..., N), the worst clipped first, each at most once."""
     if not (found.chi_square > CLIP**2 * variance).any():
         return Clipped(found, np.zeros((1,) * found.used.ndim))
-    assert found.half is not None and found.scores is not None
     batch = found.used.shape[:-1]
-    u, w, scores, limit = (bank_kernels.runs(v, batch) for v in (found.whitened, found.weight, found.scores, variance))
+    u, w, limit = (bank_kernels.runs(v, batch) for v in (found.whitened, found.weight, variance))
+    if found.half is None:  # of gains at rest
+        after, _ = _clipped(u, w, bank_kernels.runs(single(found.inverse), batch), u[:, :0], CLIP * np.sqrt(limit), True)
+        after = after.reshape(found.whitened.shape)
+        return Clipped(replace(found, whitened=after), found.whitened - after)
+    assert found.scores is not None
+    scores = bank_kernels.runs(found.scores, batch)
     half = bank_kernels.runs(found.half[:1] if found.half.strides[0] == 0 else found.half, batch)
-    after, turned = _clipped(u, w, half, scores, CLIP * np.sqrt(limit))
+    after, turned = _clipped(u, w, half, scores, CLIP * np.sqrt(limit), False)
     after, turned = after.reshape(found.whitened.shape), turned.reshape(found.scores.shape)
     return Clipped(replace(found, whitened=after, scores=turned), found.whitened - after)
 
@@ -231,15 +243,17 @@ def unclipped(now: Clipped, found: LeaveOneOut, where: Array) -> Clipped:
     if not where.any():
         return now
     chosen = where[..., None]
-    assert found.scores is not None and now.found.scores is not None
-    whitened = np.where(chosen, found.whitened, now.found.whitened)
-    scores = np.where(chosen, found.scores, now.found.scores)
+    whitened, scores = np.where(chosen, found.whitened, now.found.whitened), found.scores
+    if now.found.scores is not None and scores is not None:
+        scores = np.where(chosen, scores, now.found.scores)
     return Clipped(replace(now.found, whitened=whitened, scores=scores), np.where(chosen, 0.0, now.less))
 
 
 @compiled
-def _clipped(u: Array, w: Array, half: Array, scores: Array, limit: Array) -> tuple[Array, Array]:
-    """Whitened u and scores U' d (B, N) of readings that are clipped; half U (B or 1, N, N), limit (B, N) of |e|."""
+def _clipped(u: Array, w: Array, half: Array, scores: Array, limit: Array, inverted: bool) -> tuple[Array, Array]:
+    """Whitened u and scores U' d (B, N) of readings that are clipped; half U (B or 1, N, N), or S^-1 where `inverted`, limit
+    (B, N) of |e|.
+    """
     B, N = u.shape
     after, turned = u.copy(), scores.copy()
     done = np.empty(N, np.bool_)
@@ -259,11 +273,11 @@ def _clipped(u: Array, w: Array, half: Array, scores: Array, limit: Array) -> tu
             delta = most / np.sqrt(w[r, worst])
             if after[r, worst] < 0:
                 delta = -delta
-            for j in range(N):
+            for j in range(turned.shape[1]):
                 turned[r, j] -= U[worst, j] * delta
             for i in range(N):
-                total = 0.0
-                for j in range(N):
+                total = U[worst, i] if inverted else 0.0
+                for j in range(turned.shape[1]):
                     total += U[i, j] * U[worst, j]
                 if w[r, i] > 0:
                     after[r, i] -= total * delta

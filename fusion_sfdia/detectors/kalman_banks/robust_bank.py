@@ -65,6 +65,7 @@ from fusion_sfdia.detectors.kalman_banks.leave_one_out import LeaveOneOut, one_h
 from fusion_sfdia.detectors.kalman_banks.likelihood_window import (
     Inflation,
     OnsetGrid,
+    Shifted,
     Weighed,
     Window,
     best_onset,
@@ -80,16 +81,25 @@ from fusion_sfdia.detectors.kalman_banks.parameter_walk import followed as walke
 from fusion_sfdia.detectors.kalman_banks.quiet import no_pairs, paired, quietest, too_quiet
 from fusion_sfdia.detectors.kalman_banks.reading_noise import (
     CLIP,
-    LARGER,
     ReadingNoise,
     clipped,
     inflation_of,
     is_larger,
+    larger_from,
     learnt,
     unclipped,
 )
 from fusion_sfdia.detectors.kalman_banks.robust_memory import RobustMemory, empty_memory, faded, leaves_unexplained
 from fusion_sfdia.detectors.kalman_banks.standing import Standing, added_noise, followed, sizes, with_accepted
+from fusion_sfdia.detectors.kalman_banks.steady_gains import (
+    Gains,
+    SteadyGains,
+    can_rest,
+    estimate_at_rest,
+    predicted,
+    statistics_at_rest,
+    weigh_at_rest,
+)
 from fusion_sfdia.detectors.kalman_banks.window_step import WindowStep, last_update, window_step
 from fusion_sfdia.detectors.verdicts import FAR
 from fusion_sfdia.filters import gaussian
@@ -219,7 +229,17 @@ class RobustBank(ExcludingBank):
 
     def _start(self, batch: tuple[int, ...], seed: int) -> RobustMemory:
         of = self._hypotheses
-        return empty_memory(of, self.estimator.start(of.model, batch, step_stream(seed, 0)), batch, self._grids)
+        steady = self._gains.start(batch) if self._gains else ()
+        return empty_memory(of, self.estimator.start(of.model, batch, step_stream(seed, 0)), batch, self._grids, steady)
+
+    @cached_property
+    def _gains(self) -> SteadyGains | None:
+        """The gains at rest, where the model has such."""
+        of = self._hypotheses
+        if not can_rest(of.model):
+            return None
+        F = of.model.step_jacobian_at(0.0, of.model.x0, of.model.input_at(0.0), of.model.dt)
+        return SteadyGains(of.model, [grid.oldest for grid in self._grids], [of.recent(F, 1), of.slow(F, np.ones(1))])
 
     def _readmitted(self, memory: RobustMemory, t: float, which: Array) -> RobustMemory:
         used: RobustMemory = super()._readmitted(memory, t, which)
@@ -230,8 +250,24 @@ class RobustBank(ExcludingBank):
         return used._replace(out_for=out_for, led=led, pairs=pairs)
 
     def _judge(self, memory: RobustMemory, now: TimeStep, y: Array, u: Array) -> tuple[RobustMemory, Decision]:
-        estimate, exclusion, out_for, led, usual, proposed, since_far, *windows, last, standing, pairs = memory[:-4]
-        nis, noise, walk, look = memory[-4:]
+        if self._gains is None:
+            return self._judged(memory, now, y, u)[1]
+        return self._gains.judged(
+            memory.steady,
+            memory.estimate.P,
+            now.dt,
+            lambda gains: self._judged(memory, now, y, u, gains),
+            lambda: self._judged(memory, now, y, u)[1],
+        )
+
+    def _judged(
+        self, memory: RobustMemory, now: TimeStep, y: Array, u: Array, gains: Gains | None = None
+    ) -> tuple[Array, tuple[RobustMemory, Decision]]:
+        """A step, at rest where gains are given, and the runs (...) in which that suffices: gains are those of the step, and
+        nothing is isolated or accepted.
+        """
+        estimate, exclusion, out_for, led, usual, proposed, since_far, *windows, last, standing, pairs = memory[:-5]
+        nis, noise, walk, look, steady = memory[-5:]
         of, count = self._hypotheses, y.shape[-1]
         stands = np.asarray(standing.accepted.any(axis=-1))
         begins = of.added > 0 and now.k <= START  # no verdict before what is uncertain has been learnt
@@ -244,31 +280,41 @@ class RobustBank(ExcludingBank):
             room = np.where(unexplained, 0, room)
         if begins:
             room = np.zeros_like(room)
-        prior = self._predict(estimate, standing, walk, now, u)
-        if of.added and now.k in LEARNT_AGAIN:
-            prior = with_prior_unknowns(prior, of.sd)
-        joint = self._joint(prior, noise, now, u)
+        rests = none
+        if gains:
+            prior, joint, rests = predicted(of.model, gains, estimate.x, now, u)
+        else:
+            prior = self._predict(estimate, standing, walk, now, u)
+            if of.added and now.k in LEARNT_AGAIN:
+                prior = with_prior_unknowns(prior, of.sd)
+            joint = self._joint(prior, noise, now, u)
         y = self.plant.near(y, joint.y)
         usable = np.isfinite(y) & ~exclusion.out
         spread = noise.spread
-        everything = statistics(joint, y, usable)
+        everything = statistics_at_rest(gains, joint, y) if gains else statistics(joint, y, usable)
         counted, whole = clipped(everything, spread), none  # whole: runs in which outliers count as they are
         assert prior.tangent is not None and joint.H is not None
-        step = window_step(last, prior.tangent, joint.H, counted.found, windows[0].eta.dtype, of.leading)
-        weighed = self._weigh(windows, prior.tangent, step, now.k)
+        if gains:
+            less = (counted.less,) if counted.less.any() else ()
+            weighed, *more = weigh_at_rest(self._shifted(windows, now.k), gains, counted.found.whitened, *less)
+        else:
+            step = window_step(last, prior.tangent, joint.H, counted.found, windows[0].eta.dtype, of.leading)
+            if self._gains:
+                steady, windows = self._gains.awake(steady, estimate.P, windows)
+            weighed = self._weigh(windows, prior.tangent, step, now.k)
         inflations = tuple(inflation_of(noise, w.age, self._stated_inflation) for w in weighed)
         tested, evidence = self._compete(weighed, inflations, counted.found, handicap)
         of_whole = evidence
         if counted.less.any():  # of a fault of the process, it may be
-            other, of_whole = self._compete(
-                tuple(with_readings(w, counted.less) for w in weighed), inflations, everything, handicap
-            )
+            as_they_are = more[0] if gains else [with_readings(w, counted.less) for w in weighed]
+            other, of_whole = self._compete(as_they_are, inflations, everything, handicap)
             whole = of_whole.best_process > self._of_outliers(everything, spread)
             if whole.any():
                 tested, evidence = of_runs(whole, (other, of_whole), (tested, evidence))
                 counted = unclipped(counted, everything, whole)
         isolated, capped = np.zeros(y.shape, bool), none
-        if (everything.chi_square > limits.one * spread).any():
+        far = (everything.chi_square > limits.one * spread).any(axis=-1)
+        if far.any() and gains is None:
             present = Present(tested.recent.changes(slice(0, 1), count)[..., 0, :, :], of.recent_sizes, handicap)
             isolated, capped = eliminated(everything, of_whole, present, limits, room)
         by_windows = accepted(evidence, limits, np.asarray(~isolated.any(axis=-1)) & (not begins))
@@ -282,7 +328,7 @@ class RobustBank(ExcludingBank):
         led = np.where(usable, 0.0, leads)  # a sensor that has no reading now keeps its lead
         process, restart = by_windows.is_process, none
         waits = np.zeros(y.shape, bool)
-        if isolated.any() or by_windows.is_sensor.any() or process.any():
+        if gains is None and (isolated.any() or by_windows.is_sensor.any() or process.any()):
             capped = capped | (by_windows.is_sensor & (room < 1))
             sensor, soon = by_windows.is_sensor & (room > 0), stands & (standing.since <= LATELY)
             spike = sensor & self._is_spike(tested, by_windows.sensor, usual, self._follows(everything, usable))
@@ -303,8 +349,17 @@ class RobustBank(ExcludingBank):
         if begins and now.k == LEARNT_AGAIN[-1]:
             restart = np.ones(stands.shape, bool)
         capped = capped & ~unexplained & (not begins)
-        x, p, gain = posterior_and_gain(joint, found)
-        last = last_update(step, gain, restart)
+        if self._gains:  # with more than the readings, which gains depend on
+            depends = stands | walk.rate.any(axis=-1) | is_larger(noise).any(axis=-1)
+        if gains:
+            event = far | by_windows.is_sensor | by_windows.is_process | proposed.any(axis=-1)
+            rests = rests & ~(event | depends | (usable != gains.used).any(axis=-1))
+            (x, p), steady = estimate_at_rest(gains, joint, found), steady._replace(rests=np.ones_like(steady.rests))
+        else:
+            x, p, gain = posterior_and_gain(joint, found)
+            last = last_update(step, gain, restart)
+            if self._gains:
+                steady = self._gains.followed(steady, usable, now.dt, ~(restart | waits.any(axis=-1) | depends))
         recent, slow = (updated(w, restart) for w in (tested.recent, tested.slow))
 
         share = QUIET_SHARE * self.false_alarm / count
@@ -317,7 +372,7 @@ class RobustBank(ExcludingBank):
             quiet, capped = quiet & fits, capped | np.any(quiet & ~fits, axis=-1)
         if self.accommodate and unexplained.any():
             exclusion = restored(exclusion, unexplained[..., None] & (out_for <= self.window))
-        update = ExclusionUpdate(x, p, prior, joint, used)
+        update = ExclusionUpdate(x, p, prior, joint, used, at_rest=gains is not None)
         beyond = everything.chi_square > FAR**2 * limits.one
         counted = unclipped(counted, everything, np.all(beyond | ~usable, axis=-1) & (np.sum(beyond, axis=-1) > 1))
         shown = self._shown(counted.found, evidence, usable, isolated | quiet, capped)
@@ -333,7 +388,7 @@ class RobustBank(ExcludingBank):
         walk = walked(walk, x[..., own] - prior.core.x[..., own], before - variance, ~stands & (not begins))
         after = RobustMemory(
             GaussianState(x, p), exclusion, out_for, led, usual, proposed, since_far, recent, slow, last, standing, pairs,
-            faded(nis, everything), noise, walk, look,
+            faded(nis, everything), noise, walk, look, steady,
         )  # fmt: skip
         if self.accommodate:
             after = self._with_look(after, self._begins(memory, after), now, y, u, quiet)
@@ -344,7 +399,7 @@ class RobustBank(ExcludingBank):
             )
         undecided = (decision.score > 1) & ~decision.isolated.any(axis=-1) & ~process
         evidence = of_runs(np.any(isolated, axis=-1), of_whole, evidence)
-        return after, self._with_process(decision, evidence, after, undecided, (x[..., own], variance))
+        return rests, (after, self._with_process(decision, evidence, after, undecided, (x[..., own], variance)))
 
     def _begins(self, before: RobustMemory, after: RobustMemory) -> Array:
         """Where another sensor is left out or another process hypothesis stands (...)."""
@@ -412,7 +467,9 @@ class RobustBank(ExcludingBank):
         if not larger.any():
             return joint
         S = np.array(joint.S)
-        np.einsum("...ii->...i", S)[...] += np.where(larger, np.exp(noise.size - LARGER) - 1, 0.0) * self.plant.sensor_cov
+        np.einsum("...ii->...i", S)[...] += (
+            np.where(larger, np.exp(noise.size - larger_from(larger.shape[-1])) - 1, 0.0) * self.plant.sensor_cov
+        )
         return joint._replace(S=S, repeated=None)
 
     def _follows(self, found: LeaveOneOut, usable: Array) -> Array:
@@ -452,14 +509,16 @@ class RobustBank(ExcludingBank):
             np.einsum("...ii->...i", p)[..., n:] += variance
         return prior if p is prior.core.P else prior._replace(core=GaussianState(x, p))
 
-    def _weigh(self, windows: Sequence[Window], F: Array, step: WindowStep, k: int) -> tuple[Weighed, Weighed]:
+    def _weigh(self, windows: Sequence[Window], F: Array, step: WindowStep, k: int) -> list[Weighed]:
         """Add the present readings to both windows; F: tangent of the step, the k-th."""
-        of = self._hypotheses
-        recent, slow = (shifted(w, grid, k) for w, grid in zip(windows, self._grids, strict=True))
-        return weigh(recent, step, of.recent(F, recent.age.shape[-1])), weigh(slow, step, of.slow(F, slow.age))
+        of, (recent, slow) = self._hypotheses, self._shifted(windows, k)
+        return [weigh(recent, step, of.recent(F, recent.age.shape[-1])), weigh(slow, step, of.slow(F, slow.age))]
+
+    def _shifted(self, windows: Sequence[Window], k: int) -> list[Shifted]:
+        return [shifted(w, grid, k) for w, grid in zip(windows, self._grids, strict=True)]
 
     def _compete(
-        self, weighed: tuple[Weighed, ...], inflations: tuple[Inflation, ...], found: LeaveOneOut, handicap: Array
+        self, weighed: Sequence[Weighed], inflations: tuple[Inflation, ...], found: LeaveOneOut, handicap: Array
     ) -> tuple[Tested, Evidence]:
         """The best onsets of the windows, and the evidence of all hypotheses."""
         of, (recent, slow), (near, far) = self._hypotheses, weighed, inflations

@@ -32,7 +32,8 @@ class RobustMemory(NamedTuple):
     led (..., N): samples in a row in which a sensor explained the readings better than the process, with the sign of its fault.
     usual (..., N): readings in a row that were as expected. proposed (..., P): the process hypothesis that the windows accept.
     since_far (...): samples since any reading was far off.
-    nis (...): running mean of the normalised innovation squared without the worst sensor.
+    nis (...): running mean of the normalised innovation squared without the worst sensor. steady: whether gains are at rest
+    (nothing where they cannot be).
     """
 
     estimate: GaussianState
@@ -51,10 +52,11 @@ class RobustMemory(NamedTuple):
     noise: ReadingNoise
     walk: Walk
     look: Look
+    steady: Any  # Steady, or ()
 
 
 def empty_memory(
-    of: Hypotheses, estimate: GaussianState, batch: tuple[int, ...], grids: tuple[OnsetGrid, OnsetGrid]
+    of: Hypotheses, estimate: GaussianState, batch: tuple[int, ...], grids: tuple[OnsetGrid, OnsetGrid], steady: Any
 ) -> RobustMemory:
     """The memory before any reading, of windows on these grids, the recent one first."""
     count, n, p, states = len(of.plant.sensors), len(of.plant.states), of.added, len(of.model.states)
@@ -76,6 +78,7 @@ def empty_memory(
         nothing_shown(batch, count),
         no_walk(batch, p),
         no_look(estimate, batch, count, p),
+        steady,
     )
 
 

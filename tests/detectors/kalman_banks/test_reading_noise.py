@@ -83,6 +83,19 @@ def test_noise_as_stated_is_hardly_ever_taken_as_larger() -> None:
     assert runs.mean() < 2 * share + 4 * runs.std() / np.sqrt(RUNS)
 
 
+@pytest.mark.parametrize("sensors", [200, 1000])
+def test_of_many_sensors_chance_takes_none_as_larger(sensors: int) -> None:
+    """In nearly all steps, although it would with the level of few sensors: gains stand still only then."""
+    rng = np.random.default_rng(6)
+    now = after(rng.standard_normal((300, 1, sensors)))
+    larger, few = [], []
+    for _ in range(200):
+        now = after(rng.standard_normal((1, 1, sensors)), now)
+        larger.append(is_larger(now).any())
+        few.append((now.size > LARGER).any())
+    assert np.mean(larger) < 0.05 < np.mean(few)
+
+
 def test_what_all_sensors_have_in_common_is_followed_faster_than_what_one_has() -> None:
     rng = np.random.default_rng(2)
     known = after(rng.standard_normal((200, RUNS, 8)))
