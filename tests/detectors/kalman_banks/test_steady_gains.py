@@ -125,7 +125,13 @@ def same_decisions(found: Decision, expected: Decision, allowed: float) -> None:
     np.testing.assert_allclose(score, limit, rtol=0, atol=allowed)
 
 
-@pytest.mark.parametrize("plant", [chain(12), chain(3, sensors=5), *map(random_plant, range(20))], ids=lambda p: p.name)
+PLANTS = [
+    *(pytest.param(p, id=p.name) for p in (chain(12), chain(3, sensors=5), *map(random_plant, range(6)))),
+    *(pytest.param(p, id=p.name, marks=pytest.mark.long) for p in map(random_plant, range(6, 20))),
+]
+
+
+@pytest.mark.parametrize("plant", PLANTS)
 def test_steps_at_rest_give_what_ordinary_steps_give(plant: Plant, monkeypatch: pytest.MonkeyPatch) -> None:
     """P differs by SAME at most of its standard deviations, and so does the prediction, in units of its own."""
     steps, runs, N = 250, 3, len(plant.sensors)
