@@ -8,6 +8,7 @@ from collections.abc import Generator
 from pathlib import Path
 
 import pytest
+from markupsafe import Markup
 
 from fusion_sfdia.detectors import registry
 
@@ -68,8 +69,10 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     from fusion_sfdia.report import log_page, log_report
     from fusion_sfdia.study.experiments import drawing
 
-    for module, name in ((drawing, "write_figure"), (log_report, "write_figure"), (log_page, "figure_svg")):
-        monkeypatch.setattr(module, name, lambda *_, **__: "<svg></svg>")
+    for module in (drawing, log_report):
+        monkeypatch.setattr(module, "write_figure", lambda *_, **__: "<svg></svg>")
+    empty = log_page.Drawn("", Markup("<svg></svg>"), "", "{}")
+    monkeypatch.setattr(log_page, "_drawn", lambda *_: empty)
 
 
 @pytest.fixture

@@ -153,7 +153,8 @@ def render(rows: Sequence[Row]) -> str:
     losses = by_plant(detectors, lambda p, d: interval(index.get((p, d, "ranked", "loss", "score"))))
     parts = [
         ABOUT,
-        f"## Loss\n\n{cost_words(COSTS)} Bold in the figure: no detector costs less beyond chance.\n\n"
+        f"## Loss\n\n{cost_words(COSTS)} In brackets intervals over seeds, thresholds as they are. "
+        "Bold in the figure: no detector costs less beyond chance.\n\n"
         f"![The loss of every detector on every plant](loss.svg)\n\n{losses}\n",
     ]
     for title, about, fault, metric in TABLES:

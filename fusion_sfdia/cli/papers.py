@@ -9,8 +9,8 @@ from typing import Any
 # those of study.published_numbers, which would import NumPy: a test holds them equal
 PAPERS = ("shaheen2024", "kougiatsos2024", "kougiatsos2022", "virtual2022", "boem2018")
 RULE = (
-    "Met: within our interval and, as a wide interval proves nothing, ours within a factor 2 of it; or equal to three "
-    "digits; an upper bound, where ours is not shown to exceed it."
+    "Met: within our interval and, as a wide interval proves nothing, ours within a factor 2 of it; or within 0.5 % "
+    "of it; an upper bound, where ours is not shown to exceed it."
 )
 
 
@@ -22,8 +22,8 @@ def add_papers(commands: Any) -> None:
         "papers",
         help="measure what the papers publish, and compare",
         epilog="Runs the scenarios that have numbers of the papers beside their own, and writes published.md with a figure for "
-        f"each paper, and published.csv: each published number with ours, in 95 % intervals. {RULE} A number that is missed "
-        "has its reason, as known from full runs, or is unexplained.",
+        f"each paper, and published.csv: each published number with ours, in 95 % intervals. {RULE} Each number that is missed "
+        "is given a reason, known from full runs, or marked unexplained.",
         allow_abbrev=False,
     )
     one.add_argument("--paper", choices=PAPERS, help="of one paper alone (default: all)")

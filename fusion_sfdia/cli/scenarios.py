@@ -25,6 +25,10 @@ SETTINGS = {
     "calibration_error": "0",
     "mismatch_cases": "true",
     "process_faults": "true",
+    "missed_cost": "1",
+    "false_isolation_cost": "2",
+    "delay_cost": "0.5",
+    "wrong_model_share": "0.5",
 }
 
 
@@ -43,7 +47,8 @@ def add_compare(commands: Any) -> None:
         help="compare detectors on plants under one protocol",
         epilog=f"Names of --faults: {', '.join(FAULTS)}. Keys of --set and their defaults: "
         f"{', '.join(f'{key}={value}' for key, value in SETTINGS.items())}. Magnitudes are in sigma of the sensor's noise; "
-        "lengths, settle and window in samples. Names of plants and detectors: fusion-sfdia list.",
+        "lengths, settle and window in samples; costs and the share of wrong models weigh the loss that ranks "
+        "detectors. Names of plants and detectors: fusion-sfdia list.",
         allow_abbrev=False,
     )
     for what in ("plants", "detectors", "faults"):

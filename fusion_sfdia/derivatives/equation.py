@@ -69,13 +69,13 @@ def compiled(function: F) -> F:
 
 
 class _MachineCode(FunctionCache):  # type: ignore[misc]
-    """The machine code on disk, of which that is compiled anew which refers to modules that the package has no longer."""
+    """Machine code on disk; what refers to modules or classes that no longer exist is discarded and compiled again."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         try:
             return super().load_overload(sig, target_context)
-        except ImportError:
-            self.flush()  # else saving reads the same
+        except (ImportError, AttributeError):
+            self.flush()  # otherwise saving would read the same index again
             return None
 
 

@@ -492,8 +492,8 @@ def _warn(
     known = np.isfinite(decisions.residual)
     if known.any() and np.all(np.isinf(decisions.threshold), where=known):
         remarks.append(
-            f"{type(detector).__name__} cannot raise an alarm in these {t.size} rows: its thresholds are infinite, as at a "
-            "start; give more rows, or set thresholds with fit_thresholds(healthy)"
+            f"{type(detector).__name__} cannot raise an alarm in these {t.size} rows: its thresholds are still infinite, as "
+            "they are during start-up; give it more rows, or set thresholds with fit_thresholds(healthy)"
         )
     for values, absurd, signals, fate in (
         (y, decisions.absurd, detector.plant.sensors, "taken as missing"),

@@ -68,8 +68,8 @@ def explained_by_lag(
         if _flagged(result) >= _flagged(found):
             break
         texts.append(
-            f"{Lag(i, rows).told(detector.plant, log)}: its readings are taken as that much earlier; correct their times, or "
-            "add the delay to the model"
+            f"{Lag(i, rows).told(detector.plant, log)}: its readings were shifted back by that much; correct the time stamps, "
+            "or add the delay to the model"
         )
         log, found = moved, replace(result, of_log=(*result.of_log, *texts))
     return found, log

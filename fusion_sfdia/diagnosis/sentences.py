@@ -43,7 +43,7 @@ KINDS = {
     "sensor": Kind(0, "sensor", "faulty sensor", "faulty sensors"),
     "other": Kind(0, "other fault", "other fault", "other faults"),
     "process": Kind(1, "process", "process change", "process changes"),
-    "outside": Kind(2, "not learnt", "kind of unknown operation", "kinds of unknown operation"),
+    "outside": Kind(2, "not learnt", "kind of unknown operating condition", "kinds of unknown operating condition"),
     "undecided": Kind(3, "undecided", "unresolved alarm", "unresolved alarms"),
     "possible": Kind(4, "possible", "possible fault", "possible faults"),  # any with a confidence below `EVEN`
 }

@@ -24,13 +24,14 @@ def steady_prediction(F: Array, H: Array, Q: Array, R: Array) -> Array | None:
         A = F', G = H' R^-1 H, P = Q;    W = (I + G P)^-1,    A, G, P <- A W A, G + A W G A', P + A' P W A
     """
     A, G, P = F.T, (H.T / R) @ H, dense(Q)
-    for _ in range(DOUBLINGS):
-        factors = lu_factor(np.eye(len(F)) + G @ P)
-        ahead, spread = lu_solve(factors, A), lu_solve(factors, G @ A.T)
-        more = symmetrise(A.T @ P @ ahead)
-        G, P, A = symmetrise(G + A @ spread), P + more, A @ ahead
-        if not all(np.all(np.isfinite(M)) for M in (A, G, P)):
-            return None
-        if np.all(np.diagonal(more) <= CONVERGED * np.diagonal(P)):
-            return P
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(DOUBLINGS):
+            factors = lu_factor(np.eye(len(F)) + G @ P)
+            ahead, spread = lu_solve(factors, A), lu_solve(factors, G @ A.T)
+            more = symmetrise(A.T @ P @ ahead)
+            G, P, A = symmetrise(G + A @ spread), P + more, A @ ahead
+            if not all(np.all(np.isfinite(M)) for M in (A, G, P)):
+                return None
+            if np.all(np.diagonal(more) <= CONVERGED * np.diagonal(P)):
+                return P
     return None

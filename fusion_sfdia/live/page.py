@@ -22,7 +22,7 @@ from fusion_sfdia.diagnosis.changes import Change
 from fusion_sfdia.diagnosis.device_health import DeviceHealth
 from fusion_sfdia.diagnosis.diagnose import Diagnosis
 from fusion_sfdia.diagnosis.events import Event
-from fusion_sfdia.diagnosis.sentences import wordings
+from fusion_sfdia.diagnosis.sentences import sentence, wordings
 from fusion_sfdia.diagnosis.watch import Sample, Watch
 from fusion_sfdia.live.status import Answer, Status
 from fusion_sfdia.report.log_page import findings_of, line_drawn, overview_drawn
@@ -55,7 +55,7 @@ class Kept(NamedTuple):
 
 
 class LivePage:
-    """What the page shows, which any thread may ask for: `taken` and `changed` are told by the watch, `answer` by a server.
+    """What the page shows, which any thread may ask for: the watch calls `taken` and `changed`, a server `answer`.
 
     hours: how far back it goes, on the clock of the rows. Of these at most MOST_ROWS are kept, evenly in time, and of the
     events those that stand and the last that ended, MOST_EVENTS in all. One thread draws at a time, without the lock that the
@@ -124,7 +124,7 @@ class LivePage:
         finally:
             with self.lock:
                 self.drawing, self.drawn = False, drawn or self.drawn
-                self.fresh_until = self.now() + max(POLL, SHARE * (self.now() - began)) - POLL / 2
+                self.fresh_until = self.now() + max(POLL / 2, SHARE * (self.now() - began))
                 self.lock.notify_all()
         return {"state": self._state()} | self.drawn
 
@@ -140,7 +140,9 @@ class LivePage:
     def _drawn(self, rows: list[Kept], events: list[Event]) -> dict[str, str]:
         """Findings and figures of rows."""
         if not rows:
-            return {"findings": self._rendered("findings", findings=[]), "figures": ""}
+            known = [sentence(e, self.words, self.watch.clock) for e in events if e.open]
+            stands = [{"kind": e.kind, "word": e.kind, "sentences": [text]} for e, text in zip(events, known, strict=False)]
+            return {"findings": self._rendered("findings", findings=stands), "figures": ""}
         t, y = np.array([row.t for row in rows]), np.stack([row.y for row in rows])
         shown = tuple(replace(e, end=float(t[-1])) if e.open else e for e in events if e.open or e.end >= t[0])
         found = Diagnosis(

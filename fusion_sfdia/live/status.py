@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -215,7 +216,10 @@ def served(option: str, host: str, port: int, answer: Callable[[str], Answer | N
         timeout = PATIENCE
 
         def do_GET(self) -> None:
-            named = urlsplit(f"//{self.headers.get('Host', '')}").hostname or ""
+            try:
+                named = urlsplit(f"//{self.headers.get('Host', '')}").hostname or ""
+            except ValueError:
+                named = ""
             known = _is_here(named) or not _is_here(host)
             found = answer(self.path.partition("?")[0]) if known else None
             kind, text, headers = found or Answer("text/plain; charset=utf-8", "there is nothing at this address\n")
@@ -223,15 +227,18 @@ def served(option: str, host: str, port: int, answer: Callable[[str], Answer | N
             self.send_response(404 if found is None else 200)
             for name, value in {"Content-Type": kind, "Content-Length": str(len(body)), **headers}.items():
                 self.send_header(name, value)
-            self.end_headers()
-            with suppress(ConnectionError):  # the browser has gone
+            with suppress(ConnectionError, TimeoutError):  # the browser has gone
+                self.end_headers()
                 self.wfile.write(body)
 
         def log_message(self, format: str, *arguments: Any) -> None:
             """Requests are no remarks."""
 
+    class Server(ThreadingHTTPServer):
+        address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
+
     try:
-        server = ThreadingHTTPServer((host, port), Handler)
+        server = Server((host, port), Handler)
     except OSError as error:
         raise ValueError(
             f"--{option}: {host}:{port} cannot be served ({explained(error)}); name another port, or end what uses it"

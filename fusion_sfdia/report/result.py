@@ -75,7 +75,7 @@ class Result(Diagnosis):
         return cls(**{f.name: getattr(found, f.name) for f in fields(found)}, **readings)
 
     def plot(self) -> Figure:
-        """Readings and reconstructions of the sensors with events, without any of the first sensor, as a matplotlib Figure.
+        """Readings and reconstructions of the sensors that have events (of the first sensor if none has) as a Figure.
 
         Returns
         -------

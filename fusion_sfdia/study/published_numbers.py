@@ -10,7 +10,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from functools import partial
-from math import isfinite, log10
+from math import isfinite
 from pathlib import Path
 from textwrap import fill
 from typing import NamedTuple
@@ -41,11 +41,12 @@ READINGS = (  # parts of conditions: how a paper is read
     *("interval arithmetic", "set inversion", "(30) as printed", "the paper's own timeline"),
 )
 METRICS = {"minimum_detectable_percent": "without noise", "smallest_detected_percent": "in a run"}  # two readings of one
-DEFAULT = {"shaheen2024": "federated, 0.9 sigma"}  # the reading without a name
+DEFAULT = {"shaheen2024": "federated, 0.9 sigma"}  # the reading without a name, "ours" of other papers, which stands first
 RULE = (
-    f"Met: within our interval and, as a wide interval proves nothing, ours within a factor {NEAR:g} of it; or equal to three "
-    "digits; an upper bound, where ours is not shown to exceed it."
+    f"Met: within our interval and, as a wide interval proves nothing, ours within a factor {NEAR:g} of it; or within 0.5 % "
+    "of it; an upper bound, where ours is not shown to exceed it."
 )
+FURTHEST = 1000.0  # a factor, at which what is further away is drawn
 COLUMNS = 4  # more readings stand in one column
 
 
@@ -137,7 +138,10 @@ def values_of(rows: Iterable[Row]) -> list[Value]:
         if key not in found:
             found[key] = Value(paper, row.source, ", ".join(n for n in names if n and n != "all"), row.published, {})
         reading = ", ".join(part for part in (mode, METRICS.get(row.metric, ""), *of_reading) if part)
-        found[key].ours[reading or DEFAULT.get(paper, "ours")] = row
+        ours = found[key].ours
+        ours[reading or DEFAULT.get(paper, "ours")] = row
+        if not reading:  # the default reading stands first
+            found[key] = found[key]._replace(ours={name: ours[name] for name in sorted(ours, key=lambda n: ours[n] is not row)})
     return list(found.values())
 
 
@@ -239,12 +243,19 @@ def _lines(own: Sequence[Value], known: Sequence[tuple[str, re.Pattern[str], str
     for v in own:
         cells = [cell(v.ours.get(reading)) for reading in readings] if apart else [_joined(v)]
         met = ("yes" if v.by_default else f"by {v.met_by[0]}") if v.met_by else "no"
-        lines.append((v.what, shown(v.published), *cells, met, "" if v.met_by else reason_of(v, known)))
+        lines.append((v.what, shown(v.published), *cells, met, _why(v, known)))
     return table(header, lines)
 
 
 def _joined(v: Value) -> str:
     return "; ".join(f"{name}: {cell(row)}" for name, row in v.ours.items())
+
+
+def _why(v: Value, known: Sequence[tuple[str, re.Pattern[str], str]]) -> str:
+    """Why it is missed as the paper is read by default."""
+    if v.by_default:
+        return ""
+    return "the paper can be read in several ways, and does not state which" if v.met_by else reason_of(v, known)
 
 
 def draw(own: Sequence[Value]) -> Figure:
@@ -254,23 +265,31 @@ def draw(own: Sequence[Value]) -> Figure:
     groups = list(dict.fromkeys(_table_of(v.source) for v in own))
     for at, group in enumerate(groups):
         values = [(v, v.ours[v.met_by[0]] if v.met_by else v.own) for v in own if _table_of(v.source) == group]
-        values = [(v, row) for v, row in values if v.published and row.value / v.published > 0]
         for k, (v, row) in enumerate(values):
             x = at + 0.8 * ((k + 0.5) / len(values) - 0.5)
-            ratio = row.value / v.published
+            ratio = _ratio(row.value, v.published)
             if isfinite(row.low):
-                ends = np.maximum(np.array(sorted((row.low / v.published, row.high / v.published))), 1e-3)
-                axes.plot([x, x], ends, color="0.6", linewidth=1)
+                axes.plot([x, x], [_ratio(row.low, v.published), _ratio(row.high, v.published)], color="0.6", linewidth=1)
             axes.plot(x, ratio, "o" if v.met_by else "x", color="tab:green" if v.met_by else "tab:red", markersize=4)
     axes.axhline(1.0, color="0.3", linewidth=0.8)
     axes.axhspan(1 / NEAR, NEAR, color="0.93", zorder=0)
     axes.set_yscale("log")
-    low, high = axes.get_ylim()
-    axes.set_ylim(10 ** max(log10(low), -3), high)
     axes.set_xticks(range(len(groups)), [g.partition(", ")[2] or g for g in groups], rotation=20, ha="right")
     axes.set_ylabel("ours / published")
-    axes.set_title("circles: met by a reading, with its interval; crosses: missed, default reading; grey: factor 2", fontsize=9)
+    axes.set_title(
+        f"circles: met by a reading, with its interval; crosses: missed, default reading; grey: factor {NEAR:g}; "
+        f"at {FURTHEST:g} and {1 / FURTHEST:g}: beyond, or one of both is 0",
+        fontsize=8,
+    )
     return figure
+
+
+def _ratio(ours: float, published: float) -> float:
+    """Ours over the published number, between 1 / `FURTHEST` and `FURTHEST`, which stand for a 0 of one of both."""
+    if ours == published:
+        return 1.0
+    ratio = ours / published if published else np.inf
+    return float(np.clip(ratio, 1 / FURTHEST, FURTHEST))
 
 
 def figures(values: Sequence[Value]) -> dict[str, str]:

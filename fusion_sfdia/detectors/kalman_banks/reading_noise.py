@@ -4,7 +4,8 @@ Of each sensor e = u / sqrt(w), the leave-one-out innovation over its stated sta
 the model and the stated noise are right. Four things are followed, all so that a fault moves them little:
 
     size          ln kappa <- ln kappa +- STEP, + where e^2 > .455 kappa, the median of chi-square (Robbins and Monro 1951),
-                  with ln kappa at most LARGER, more of many sensors, as what is above it enlarges the filter's noise;
+                  with ln kappa at most LARGER (higher for many sensors, see `larger_from`), since the part above enlarges
+                  the filter's noise;
                   what all sensors have in common is followed faster, as a fault of a sensor does not move it
     correlation   q = 1 - mean of min((e_k - e_k-1)^2 / (2 kappa), CUT) / CUT_MEAN: a lasting fault changes one difference
     clipping      readings count as if |e| were CLIP at most, the worst first
@@ -41,7 +42,7 @@ STEP, FIRST = 0.025, 4.0  # of ln kappa in a sample, and 1 / (FIRST + k) in the 
 TOGETHER = 0.2  # of what all sensors have in common, where all are on one side
 MEDIAN = 0.45493642311957283  # of chi-square with 1 degree of freedom
 LARGER = 0.5  # of ln kappa; by what is above it the filter's noise is enlarged, below it the difference may be chance
-MANY, LARGEST = 100, 1.0  # sensors beyond which chance alone reaches more, LARGER / 2 for each doubling, up to LARGEST
+MANY, LARGEST = 100, 1.0  # sensors above which chance alone exceeds LARGER: it rises by LARGER / 2 per doubling, up to LARGEST
 MOST = 6.0  # |ln kappa|
 FADE = 1 - 1 / 32  # of `spread` in a sample: windows still have sums from before the filter's noise was enlarged
 CLIP = 3.0  # standard deviations

@@ -264,7 +264,7 @@ class RobustBank(ExcludingBank):
         self, memory: RobustMemory, now: TimeStep, y: Array, u: Array, gains: Gains | None = None
     ) -> tuple[Array, tuple[RobustMemory, Decision]]:
         """A step, at rest where gains are given, and the runs (...) in which that suffices: gains are those of the step, and
-        nothing is isolated or accepted.
+        neither the sample nor the windows isolate or accept anything.
         """
         estimate, exclusion, out_for, led, usual, proposed, since_far, *windows, last, standing, pairs = memory[:-5]
         nis, noise, walk, look, steady = memory[-5:]

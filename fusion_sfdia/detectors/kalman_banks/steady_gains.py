@@ -4,8 +4,9 @@ At the plant's dt, with the same readings in use, the covariance P tends to that
 the information of windows to what follows from it. They are computed once. Where P differs from it by at most `SAME` of
 its standard deviations, a step is u = S^-1 d, x <- x + C u with these.
 
-The score of a hypothesis (see `likelihood_window`) needs no change eta of the state by it then, but one backward pass, the
-auxiliary residuals of the disturbance smoother (de Jong and Penzer 1998): with A = F - F K H and v = H' u
+The score of a hypothesis (see `likelihood_window`) then does not need eta, the change of the state that it causes: one
+backward pass suffices, the auxiliary residuals of the disturbance smoother (de Jong and Penzer 1998). With A = F - F K H and
+v = H' u
 
     s_j = sum_(i < j) (A')^i v,    t_j = s_1 + .. + s_j,    s_(2^m + j) = s_(2^m) + (A')^(2^m) s_j    for j < 2^m
 
@@ -47,7 +48,7 @@ SETTLED = 16  # steps in a row with the same readings in use, after which their 
 SAME = 1e-6  # of the standard deviations: what P may differ from that at rest
 SAME_DT = 1e-9  # relative difference of steps that are equal to the rounding of the times
 LEAST = 1e-30  # below it an entry of a power of A counts as 0: products of denormal numbers take many times as long
-ROOM = 2e6  # numbers of a covariance, in all, of which gains are kept
+ROOM = 2e6  # numbers of a covariance, in all, of which gains are kept; each set takes some twenty times as many
 
 
 class Gains(NamedTuple):
@@ -110,8 +111,10 @@ class SteadyGains:
         F, H = plant.step_jacobian_at(0.0, plant.x0, u[0], plant.dt), plant.output_jacobian_at(0.0, plant.x0, u[0])
         scale = plant.state_scale
         Q = plant.process_cov / (scale**2 if plant.process_cov.ndim == 1 else np.outer(scale, scale))
+        if not used.any():
+            return None
         P = steady_prediction(F * scale / scale[:, None], H[used] * scale, Q, plant.sensor_cov[used])
-        if P is None or not used.any():
+        if P is None:
             return None
         P = P * np.outer(scale, scale)
         joint = Extended().joint(plant, Prior(GaussianState(x, P[None]), np.zeros(1, bool), np.zeros(1, bool)), 0.0, u)

@@ -4,8 +4,9 @@
 
 missed: share of the faulty sensors' samples at which the faulty one is not isolated; false: share of the samples at which a
 healthy sensor is isolated; late: share of a fault's samples before the first alarm. Kinds of conditions with the right model:
-faults of sensors; process faults, where an alarm is wanted and no sensor's name; missing readings. Mismatch cases count
-healthy and with a bias; an alarm there may come from the model, so no delay is counted. The weights are settings, `COSTS`.
+faults of sensors; process faults, where an alarm is right and isolating a sensor is wrong; missing readings. Mismatch cases
+count half healthy and half with a bias, so that a fault missed there weighs half; an alarm there may come from the model, so
+no delay is counted. The weights are settings, `COSTS`.
 """
 
 from __future__ import annotations
@@ -73,16 +74,16 @@ def cheaper_elsewhere(cells: Mapping[str, ComparisonCell], settings: Settings, n
     if not any(cell.mismatches for cell in cells.values()):
         return {}
     ends = {d: [float(loss(c, {**settings, "wrong_model_share": w}).mean()) for w in (0.0, 1.0)] for d, c in cells.items()}
-    at, here = 0.0, min(ends, key=lambda d: (ends[d][0], ends[d][1]))
+    at, here = 0.0, min(ends, key=lambda d: (ends[d][0], ends[d][1], d != name))
     found = {}
     while True:
         right, wrong = ends[here]
         crossings = {
             d: (r - right) / (r - right + wrong - w) for d, (r, w) in ends.items() if r - right + wrong - w > 0 and wrong > w
         }
-        following = min(((x, ends[d][1], d) for d, x in crossings.items() if x >= at), default=(1.0, 0.0, ""))
+        following = min(((x, ends[d][1], d != name, d) for d, x in crossings.items() if x >= at), default=(1.0, 0.0, False, ""))
         if here != name and following[0] > at:
             found[here] = (at, following[0])
-        if not following[2]:
+        if not following[3]:
             return found
-        at, _, here = following
+        at, *_, here = following

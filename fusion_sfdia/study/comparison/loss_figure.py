@@ -20,7 +20,7 @@ Losses = Mapping[str, Mapping[str, Mapping[str, float]]]  # plant, detector, par
 
 
 def loss_figure(settings: Settings, cells: Cells, standings: Standings) -> Figure:
-    """All detectors in the order of their loss, a panel a plant."""
+    """All detectors in the order of their loss, one panel per plant."""
     losses = {
         plant: {
             d: {part: float(v.mean()) for part, v in loss_parts(c, settings).items()} for d, c in of_plant(cells, plant).items()
@@ -52,7 +52,7 @@ def draw_loss(losses: Losses, best: Mapping[str, Collection[str]]) -> Drawing:
         axis.set_yticks(range(len(order)), order, fontsize=7)
         for label, name in zip(axis.get_yticklabels(), order, strict=True):
             label.set_fontweight("bold" if name in best[plant] else "normal")
-        axis.set_ylim(most - 0.5, -0.5)  # bars of all panels are as wide
+        axis.set_ylim(most - 0.5, -0.5)  # bars are equally thick in all panels
         axis.grid(visible=False, axis="y")
         axis.set_xlabel("loss")
     legend_columns(figure, columns=4)

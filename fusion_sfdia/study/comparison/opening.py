@@ -41,25 +41,24 @@ def advised(settings: Settings, cells: Mapping[str, ComparisonCell], ranked: Map
     many = " No other is worse beyond chance." if 1 < len(ranked) == len(equals) + 1 else ""
     advice = [f"{cell.plant}: {name} has the least loss, {ranked[name].mean.value:.2f}{equal}.{many}"]
     for other, (low, high) in cheaper_elsewhere({d: cells[d] for d in ranked}, settings, name).items():
-        where = (
-            f"below {percent(high)}"
-            if low == 0
-            else f"above {percent(low)}"
-            if high == 1
-            else f"from {percent(low)} to {percent(high)}"
-        )
+        if low == 0:
+            where = f"less than {100 * high:.3g} %"
+        else:
+            where = f"more than {100 * low:.3g} %" if high == 1 else f"between {100 * low:.3g} and {100 * high:.3g} %"
         advice.append(f"{other} would have the least if the model were wrong {where} of the time.")
     most = max(exact, key=lambda d: np.nan_to_num(exact[d].value))
     more = f"; most exact is {most}, {percent(exact[most].value)}" if exact[most].value > exact[name].value else ""
     advice.append(
-        f"With the right model it isolates exactly the faulty sensor in {percent(exact[name].value)} of the samples of a "
+        f"With the right model {name} isolates exactly the faulty sensor in {percent(exact[name].value)} of the samples of a "
         f"fault of {large:g} sigma{more}."
     )
     if not any(c.mismatches for c in cells.values()):
         advice.append(f"{NOT_TRIED.capitalize()}.")
-    for what, (share, case) in (("a wrong model", under_mismatch(cell)), ("a process fault", under_process_faults(cell))):
+    for what, (share, case) in (("model mismatch", under_mismatch(cell)), ("process fault", under_process_faults(cell))):
         if share.value > RARELY:
-            advice.append(f"Under {what} ({case}) it isolates a healthy sensor in {percent(share.value)} of the samples.")
+            advice.append(
+                f"Under the worst {what} ({case}) {name} isolates a healthy sensor in {percent(share.value)} of the samples."
+            )
     return " ".join(advice)
 
 

@@ -56,11 +56,14 @@ def exoneration(cell: ComparisonCell) -> dict[str, Array]:
 
 
 class Criterion(NamedTuple):
-    """By what detectors are ranked: values (C,) by cluster, whether less is better, and the bounds of their mean."""
+    """By what detectors are ranked: values (C,) by cluster, those of a group side by side; whether less is better, the bounds
+    of their mean, and whether groups have weights, so that its interval is over seeds alone.
+    """
 
     values: Callable[[ComparisonCell, Settings], Array]
     less: bool = False
     bounds: tuple[float, float] = (0.0, 1.0)
+    weighted: bool = False
 
 
 def _clusters(of: Callable[[ComparisonCell], dict[str, Array]]) -> Callable[[ComparisonCell, Settings], Array]:
@@ -69,7 +72,7 @@ def _clusters(of: Callable[[ComparisonCell], dict[str, Array]]) -> Callable[[Com
 
 LOSS = "loss"
 CRITERIA = {
-    LOSS: Criterion(loss, less=True, bounds=(0.0, np.inf)),
+    LOSS: Criterion(loss, less=True, bounds=(0.0, np.inf), weighted=True),
     "detection": Criterion(_clusters(detection)),
     "isolation": Criterion(_clusters(isolation)),
     "accommodation": Criterion(_clusters(accommodation), bounds=(-np.inf, np.inf)),
@@ -91,9 +94,15 @@ def _by_group(cell: ComparisonCell, values: Array, *, faulty: bool) -> dict[str,
 
 
 def ranking(
-    values: Mapping[str, Array], *, less: bool = False, bounds: tuple[float, float] = (-np.inf, np.inf)
+    values: Mapping[str, Array],
+    *,
+    less: bool = False,
+    bounds: tuple[float, float] = (-np.inf, np.inf),
+    seeds: int | None = None,
 ) -> dict[str, RankedDetector]:
-    """Standing of detectors by their values on the same clusters (C,). less: is better. bounds: of the mean."""
+    """Standing of detectors by their values on the same clusters (C,). less: is better. bounds: of the mean. seeds: of each
+    group of clusters, where the interval of the mean is over seeds.
+    """
     names = list(values)
     pairs = list(combinations(names, 2))
     differences = np.array([values[a] - values[b] for a, b in pairs])
@@ -103,7 +112,12 @@ def ranking(
         if probability < 1 - LEVEL:
             first, second = (a, b) if (difference.mean() > 0) != less else (b, a)
             better[second].add(first)
-    return {name: RankedDetector(within(mean(values[name]), *bounds), 1 + len(better[name])) for name in names}
+    return {name: RankedDetector(within(mean(by_seed(values[name], seeds)), *bounds), 1 + len(better[name])) for name in names}
+
+
+def by_seed(values: Array, seeds: int | None) -> Array:
+    """The means (S,) over groups of values (G S,) in which the seeds of a group stand side by side; as they are for None."""
+    return values if seeds is None else values.reshape(-1, seeds).mean(axis=0)
 
 
 def sign_flips(differences: Array) -> Array:

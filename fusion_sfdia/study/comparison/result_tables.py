@@ -55,7 +55,7 @@ def choices_table(settings: Settings, cells: Cells, standings: Standings) -> Res
         *("false isolation, worst process fault", "which", "healthy samples with an alarm"),
     )
     return ResultTable(
-        "Which to take",
+        "Which detector to choose",
         header,
         tuple(rows),
         method="Exact isolation: share of the samples under a fault of one sensor at which it alone is isolated. "
@@ -72,8 +72,8 @@ def cost_words(settings: Settings) -> str:
         f"Loss: {missed:g} times the share of a fault's samples at which the faulty sensor is not isolated, {false:g} times "
         f"the share of the samples at which a healthy one is, {late:g} times the share of a fault before the first alarm. All "
         "kinds of conditions with the right model count alike, and all mismatch cases, where the model is wrong, "
-        f"{100 * wrong:.0f} % of the time. A healthy sensor that is isolated is a good reading taken out, a technician sent to "
-        "the wrong place, and "
+        f"{100 * wrong:.0f} % of the time, half of it healthy and half with a bias. A healthy sensor that is isolated is a "
+        "good reading taken out, a technician sent to the wrong place, and "
         f"what is really wrong goes on. Other weights: --set {' --set '.join(f'{name}=...' for name in COSTS)}."
     )
 
@@ -190,7 +190,7 @@ def ranks_table(plant: str, criteria: Mapping[str, Mapping[str, RankedDetector]]
         tuple(map(tuple, rows)),
         method="1 + the number of detectors that are better beyond chance (random signs of paired differences over clusters, "
         "Holm's correction over all pairs, 5 %); a shared rank is no difference that this many runs show. Mean over clusters "
-        f"({counts}) and its 95 % interval: loss, see which to take; detection, of runs with an alarm; isolation, of samples "
+        f"({counts}) and its 95 % interval: loss, as above; detection, of runs with an alarm; isolation, of samples "
         "with exact isolation; "
         "accommodation, of -log10(error after over before); exoneration, of samples without false isolation under model "
         "mismatch, process faults and missing readings, the three weighted alike. In the order of the loss.",

@@ -19,7 +19,7 @@ from fusion_sfdia.study.comparison.loss import loss_parts
 from fusion_sfdia.study.comparison.loss_figure import loss_figure
 from fusion_sfdia.study.comparison.metric_rows import SCENARIO, best_isolation, glance, rows_of_cell
 from fusion_sfdia.study.comparison.opening import opening
-from fusion_sfdia.study.comparison.ranking import CRITERIA, RankedDetector, ranking
+from fusion_sfdia.study.comparison.ranking import CRITERIA, RankedDetector, by_seed, ranking
 from fusion_sfdia.study.comparison.result_tables import EVERY, Standings, choices_table, ranks_table, standing_rows
 from fusion_sfdia.study.comparison.subjects import Subjects
 from fusion_sfdia.study.experiments.scenario import Arrays, Settings, Task
@@ -40,7 +40,7 @@ def summarise(subjects: Subjects, settings: Settings, results: list[tuple[Task, 
         rows.append(Row(SCENARIO, plant, detector, "ranked", criterion, "rank", float(standing.rank), n=standing.mean.n))
     for (plant, detector), cell in whole.items():
         for part, values in loss_parts(cell, settings).items():
-            rows.append(Row(SCENARIO, plant, detector, "ranked", part, "loss_part", *mean(values)))
+            rows.append(Row(SCENARIO, plant, detector, "ranked", part, "loss_part", *mean(by_seed(values, len(cell.seeds)))))
     first, *more = [
         plant_chapter(settings, of_plant(cells, plant), standings.get(plant, {}), of_plant(reasons, plant), published)
         for plant in dict.fromkeys(p for p, _ in cells)
@@ -99,7 +99,8 @@ def standings_of(cells: Cells, settings: Settings) -> Standings:
         if len(plants) > 1 and common:
             compared[EVERY] = {d: np.concatenate([values[p, d] for p in plants]) for d in common}
         for plant, of_each in compared.items():
-            found.setdefault(plant, {})[name] = ranking(of_each, less=criterion.less, bounds=criterion.bounds)
+            seeds = len(next(iter(cells.values())).seeds) if criterion.weighted and cells else None
+            found.setdefault(plant, {})[name] = ranking(of_each, less=criterion.less, bounds=criterion.bounds, seeds=seeds)
     return found
 
 
