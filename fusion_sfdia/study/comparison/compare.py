@@ -38,6 +38,7 @@ from fusion_sfdia.study.experiments.runner import run_scenarios
 from fusion_sfdia.study.experiments.scenario import Arrays, Scenario, Setting, Settings, Task, seed_blocks, setting_text
 
 CHUNK = 25  # seeds in one task, which is set up once
+LEAST_COST = 1e-6  # but for 0
 LEAST_CALIBRATION_ERROR = 1e-3  # of a rate of false alarms that is set: less takes a million samples and more
 
 
@@ -59,6 +60,9 @@ class Comparison:
             raise ValueError(
                 f"calibration_error is {error:g}; expected at least {LEAST_CALIBRATION_ERROR:g}, or 0: by the number of seeds"
             )
+        for name in COSTS:
+            if 0 < settings[name] < LEAST_COST:
+                raise ValueError(f"{name} is {settings[name]:g}; expected 0, or at least {LEAST_COST:g}")
         plants = [self.subjects.plant(name) for name in settings["plants"]]
         detectors = [self.subjects.detector(name) for name in settings["detectors"]]
         apart = ("plants", "detectors", *COSTS)  # costs weigh what the work found
