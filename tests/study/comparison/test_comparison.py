@@ -499,6 +499,7 @@ def test_from_end_to_end_with_any_number_of_workers(tmp_path: Path) -> None:
     assert {p.name for p in (tmp_path / "1" / "figures").glob("*.png")} == {
         f"comparison-{name}.png"
         for name in (
+            "loss",
             "overview",
             *(
                 f"{p}-{f}"
