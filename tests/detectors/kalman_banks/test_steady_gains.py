@@ -126,8 +126,8 @@ def same_decisions(found: Decision, expected: Decision, allowed: float) -> None:
 
 
 PLANTS = [
-    *(pytest.param(p, id=p.name) for p in (chain(12), chain(3, sensors=5), *map(random_plant, range(6)))),
-    *(pytest.param(p, id=p.name, marks=pytest.mark.long) for p in map(random_plant, range(6, 20))),
+    *(pytest.param(p, id=p.name) for p in (chain(12), chain(3, sensors=5), *map(random_plant, range(3)))),
+    *(pytest.param(p, id=p.name, marks=pytest.mark.long) for p in map(random_plant, range(3, 20))),
 ]
 
 
