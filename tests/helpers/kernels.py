@@ -45,6 +45,7 @@ LEFT_OUT = (
     "frozen_model",
     "inspection",
     "monitor",
+    "test_steady_gains.py",
     "tuning",
 )  # with OLDEST: whole models and detectors, for minutes
 SMALL = ("-k", "not (test_contract and (gas-pipeline or power-network or filterpy))")
