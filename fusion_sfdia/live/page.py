@@ -25,7 +25,7 @@ from fusion_sfdia.diagnosis.events import Event
 from fusion_sfdia.diagnosis.sentences import sentence, wordings
 from fusion_sfdia.diagnosis.watch import Sample, Watch
 from fusion_sfdia.live.status import Answer, Status
-from fusion_sfdia.report.log_page import findings_of, line_drawn, overview_drawn
+from fusion_sfdia.report.log_page import finding_texts, findings_of, line_drawn, overview_drawn
 from fusion_sfdia.report.page import page_environment, part
 
 HOURS = 4.0
@@ -140,8 +140,11 @@ class LivePage:
     def _drawn(self, rows: list[Kept], events: list[Event]) -> dict[str, str]:
         """Findings and figures of rows."""
         if not rows:
-            known = [sentence(e, self.words, self.watch.clock) for e in events if e.open]
-            stands = [{"kind": e.kind, "word": e.kind, "sentences": [text]} for e, text in zip(events, known, strict=False)]
+            stands = [
+                finding_texts(e, self.words, [sentence(e, self.words, self.watch.clock)]) | {"figure": None}
+                for e in events
+                if e.open
+            ]
             return {"findings": self._rendered("findings", findings=stands), "figures": ""}
         t, y = np.array([row.t for row in rows]), np.stack([row.y for row in rows])
         shown = tuple(replace(e, end=float(t[-1])) if e.open else e for e in events if e.open or e.end >= t[0])

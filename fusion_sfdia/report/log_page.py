@@ -23,7 +23,7 @@ from fusion_sfdia.common.numerals import for_json
 from fusion_sfdia.detectors.verdicts import Verdict
 from fusion_sfdia.diagnosis.diagnose import Diagnosis
 from fusion_sfdia.diagnosis.events import Event
-from fusion_sfdia.diagnosis.sentences import KINDS, confidence_of, kind_of, others_of, size_of
+from fusion_sfdia.diagnosis.sentences import KINDS, Words, confidence_of, kind_of, others_of, size_of
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.figure_files import figure_svg
 from fusion_sfdia.report.log_figures import near, on_screen, overview, time_line
@@ -160,18 +160,25 @@ def _caption(own: Sequence[Event]) -> str:
     )
 
 
+def finding_texts(e: Event, words: Words, sentences: Sequence[str], more: str = "") -> dict[str, Any]:
+    """What stands of a finding, by its most important event, where findings are listed."""
+    return {
+        "kind": e.kind,
+        "word": kind_of(e).word,
+        "sentences": sentences,
+        "more": more,
+        "confidence": confidence_of(e),
+        "others": ", ".join(others_of(e, words)),
+    }
+
+
 def _finding(found: Diagnosis, own: Sequence[Event], most: int) -> dict[str, Any]:
     """A finding as texts; own: its events, the most important first, of which `most` have a row."""
     first, many = own[0], len(own) > MOST_SENTENCES
     start, end = min(e.start for e in own), max(e.end for e in own)
     more = f"{len(own)} occurrences in all, {found.clock.span(start, end)}; see Numbers." if many else ""
-    return {
-        "kind": first.kind,
-        "word": kind_of(first).word,
-        "sentences": [found.sentence(e) for e in (own[:1] if many else own)],
-        "more": more,
-        "confidence": confidence_of(first),
-        "others": ", ".join(others_of(first, found.words)),
+    sentences = [found.sentence(e) for e in (own[:1] if many else own)]
+    return finding_texts(first, found.words, sentences, more) | {
         "rows": [_row(found, e) for e in own[:most]],
         "hidden": max(0, len(own) - most),
     }

@@ -50,6 +50,15 @@ def give(saved: SavedWatch, count: int, first: int = 0) -> None:
         saved.update(float(t), y, u)
 
 
+def test_before_the_first_row_events_that_stand_are_there() -> None:
+    """As after a restart from a saved state: the page has no rows, the watch has its events."""
+    _, saved = made(Ticks())
+    give(saved, 60)
+    watch = saved.watch
+    parts = LivePage(watch, Status(watch), now=Ticks()).parts()
+    assert "q12" in parts["findings"] and "No finding" not in parts["findings"] and parts["figures"] == ""
+
+
 def test_it_shows_state_findings_and_figures() -> None:
     ticks = Ticks()
     page, saved = made(ticks)
