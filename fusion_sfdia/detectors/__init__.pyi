@@ -30,6 +30,7 @@ from fusion_sfdia.detectors.stochastic_thresholds.chebyshev import Chebyshev as 
 from fusion_sfdia.detectors.stochastic_thresholds.fault_hypotheses import FaultHypotheses as FaultHypotheses
 from fusion_sfdia.detectors.stochastic_thresholds.guarantees import detectable as detectable
 from fusion_sfdia.detectors.stochastic_thresholds.guarantees import excludable as excludable
+from fusion_sfdia.detectors.stochastic_thresholds.guarantees import excludable_faults as excludable_faults
 from fusion_sfdia.detectors.stochastic_thresholds.guarantees import exclusion_error as exclusion_error
 from fusion_sfdia.detectors.stochastic_thresholds.replug import replug as replug
 from fusion_sfdia.detectors.storage import load_state as load_state

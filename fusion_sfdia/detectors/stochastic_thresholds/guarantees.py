@@ -31,6 +31,7 @@ from fusion_sfdia.detectors.detector import run
 from fusion_sfdia.detectors.stochastic_thresholds.chebyshev import Chebyshev
 from fusion_sfdia.detectors.stochastic_thresholds.consensus import MODES
 from fusion_sfdia.detectors.stochastic_thresholds.fault_functions import FaultFunction
+from fusion_sfdia.detectors.stochastic_thresholds.fault_hypotheses import FaultHypotheses
 from fusion_sfdia.detectors.stochastic_thresholds.threshold_rules import BOUND, CONFORMAL, RULES, require_rule
 from fusion_sfdia.detectors.stochastic_thresholds.unread_states import require_estimable
 from fusion_sfdia.logs.log_forms import as_log
@@ -170,24 +171,52 @@ def excludable(hypotheses: Mapping[str, Chebyshev], faulty: Any) -> dict[str, Ma
     return {name: detectable(matched, faulty) for name, matched in hypotheses.items()}
 
 
-def excludable_faults(
-    faults: Mapping[str, FaultFunction],
-    true: FaultFunction,
-    x: Array,
-    u: Array,
-    e: Array,
-    deviation: Array,
-    lam: float,
-    alpha: float,
-) -> Array:
-    """(38), (39) for the fault functions of an area: the largest ratio of its residuals (K, L), as in `margins`.
+def excludable_faults(isolation: FaultHypotheses, true: FaultFunction, x: Array, u: Array, e: Array, deviation: Array) -> Array:
+    """Of each fault function of an area of a network how far a fault is beyond what excludes it for certain, (38), (39).
 
-    true: the fault function of the true fault. x (K, n), u (K,), e (K,): states, input and inflow of the area from the start of
-    the isolation on, at the beginning of each step. deviation (K, L, n): s_l of the residuals after the step, such as those of
-    an `Isolation`.
+    Parameters
+    ----------
+    isolation : FaultHypotheses
+        With the fault functions, its lam, alpha and mode.
+    true : callable
+        The fault function of the true fault, phi(x (..., n), u (...), e (...)) -> (..., n).
+    x : array (K, n)
+        True states of the area from the start of the isolation on, at the beginning of each step.
+    u : array (K,)
+        Its reference in these steps.
+    e : array (K,)
+        Its inflow, sum_j P_ij x_j - d.
+    deviation : array (K, L, n)
+        s of the residuals after each step, such as those of an `Isolation` for its own readings.
+
+    Returns
+    -------
+    array (K, L)
+        The largest ratio of its residuals; above 1 the hypothesis is excluded for certain. That of the true fault is 0.
+
+    Raises
+    ------
+    ValueError
+        For shapes that do not fit.
+
+    Notes
+    -----
+    Boem et al. 2018, sec. V, Proposition 4.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion_sfdia.detectors import FaultHypotheses, excludable_faults
+    >>> from fusion_sfdia.plants import power_network
+    >>> half, none = lambda x, u, e: 0.5 * e[..., None] * np.array([0.0, 0.1, 0.0, 0.0]), lambda x, u, e: 0.0 * x
+    >>> areas = power_network(loads=()).structure.areas
+    >>> isolation = FaultHypotheses(areas, "4", {"half of the load": half, "nothing": none}, alpha=3.0)
+    >>> x, u, e = np.zeros((20, 4)), np.zeros(20), np.full(20, 0.1)
+    >>> excludable_faults(isolation, half, x, u, e, np.full((20, 2, 4), 1e-3))[-1].round(2)
+    array([0.  , 1.19])
     """
-    phi = np.stack([true(x, u, e) - one(x, u, e) for one in faults.values()], axis=1)
-    return np.asarray(margins(phi, deviation, lam, alpha).max(axis=-1))
+    phi = np.stack([true(x, u, e) - one(x, u, e) for one in isolation.faults.values()], axis=1)
+    return np.asarray(margins(phi, deviation, isolation.lam, isolation.alpha, isolation.mode).max(axis=-1))
 
 
 def exceeds_next(phi: Array, residual: Array, before: Array, after: Array, lam: float, alpha: float) -> Array:

@@ -175,9 +175,7 @@ def test_in_the_network_what_is_detectable_or_excludable_is_so_in_every_run() ->
     assert np.all((np.abs(residuals) > alpha * np.array(s))[1:][certain])
     after = slice(start + 1, None)
     for b in range(runs):
-        of_run = excludable_faults(
-            faults, faults["ten"], x[after, b], u[after, b], e[after, b], np.array(s_l)[after, b], LAM, alpha
-        )
+        of_run = excludable_faults(observer, faults["ten"], x[after, b], u[after, b], e[after, b], np.array(s_l)[after, b])
         beyond = np.any(np.abs(np.array(e_l)[after, b]) > alpha * np.array(s_l)[after, b], axis=-1)
         assert not of_run[:, 0].any() and of_run[:, 1:].max() > 1
         assert np.all(beyond[of_run > 1])
