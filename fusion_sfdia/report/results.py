@@ -22,13 +22,13 @@ NAMES = COLUMNS[: COLUMNS.index("value")]
 NUMBERS = ("value", "low", "high", "published")
 
 
-AT_MOST = ", at most"  # ends the source of a published upper bound
+AT_MOST, MORE_THAN = ", at most", ", more than"  # end the source of a published upper or lower bound
 
 
 @dataclass(frozen=True)
 class Published:
     """A number as its authors state it, in the unit of the row that it is compared with; source names paper, table and page,
-    and ends with `AT_MOST` where they state an upper bound.
+    and ends with `AT_MOST` or `MORE_THAN` where they state a bound.
     """
 
     value: float
@@ -83,13 +83,15 @@ class Row:
 
     @property
     def agrees(self) -> bool | None:
-        """Whether the published value is within the interval, or, as an upper bound, not below it; None where there is no
+        """Whether the published value is within the interval, or, as a bound, not shown to be exceeded; None where there is no
         published value or no interval.
         """
         if self.published is None or not (math.isfinite(self.low) and math.isfinite(self.high)):
             return None
         if self.source.endswith(AT_MOST):
             return self.low <= self.published
+        if self.source.endswith(MORE_THAN):
+            return self.high > self.published
         return self.low <= self.published <= self.high
 
 

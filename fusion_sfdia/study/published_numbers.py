@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 from fusion_sfdia.common.files import atomic_write
 from fusion_sfdia.report.figure_files import figure_svg
-from fusion_sfdia.report.results import AT_MOST, Row, rounded, write_rows
+from fusion_sfdia.report.results import AT_MOST, MORE_THAN, Row, rounded, write_rows
 
 REASONS = Path(__file__).with_name("published_reasons.toml")
 NUMBERS, PAGE = "published.csv", "published.md"
@@ -44,8 +44,9 @@ METRICS = {"minimum_detectable_percent": "without noise", "smallest_detected_per
 DEFAULT = {"shaheen2024": "federated, 0.9 sigma"}  # the reading without a name, "ours" of other papers, which stands first
 RULE = (
     f"Met: within our interval and, as a wide interval proves nothing, ours within a factor {NEAR:g} of it; or within 0.5 % "
-    "of it; an upper bound, where ours is not shown to exceed it."
+    "of it; a bound, where ours is not shown to be beyond it."
 )
+BOUNDS = {AT_MOST: "at most ", MORE_THAN: "more than "}
 FURTHEST = 1000.0  # a factor, at which what is further away is drawn
 COLUMNS = 4  # more readings stand in one column
 
@@ -97,6 +98,8 @@ def _near(value: float, published: float) -> bool:
 
 def _meets(row: Row, published: float) -> bool:
     """Whether the published value is within our interval, which counts only where ours is near; or equal to three digits."""
+    if row.source.endswith(MORE_THAN):
+        return row.value > published if row.agrees is None else row.agrees
     close = isfinite(row.value) and abs(row.value - published) <= 5e-3 * abs(published)
     return close or (bool(row.agrees) and (row.source.endswith(AT_MOST) or _near(row.value, published)))
 
@@ -149,6 +152,12 @@ def reasons() -> list[tuple[str, re.Pattern[str], str]]:
     """(paper, pattern of source and what, reason), the first that fits counts."""
     with REASONS.open("rb") as file:
         return [(r["paper"], re.compile(r["where"]), r["why"]) for r in tomllib.load(file)["reason"]]
+
+
+def readings() -> dict[str, str]:
+    """By paper, what it leaves open and how it is read here."""
+    with REASONS.open("rb") as file:
+        return dict(tomllib.load(file)["reading"])
 
 
 def reason_of(value: Value, known: Sequence[tuple[str, re.Pattern[str], str]]) -> str:
@@ -211,6 +220,8 @@ def render(values: Sequence[Value], see: str = "") -> str:
     ]
     for title, own in _by_paper(values):
         parts.append(f"## {title}")
+        if (read := readings().get(own[0].paper)) is not None:
+            parts.append(fill(read, WIDTH))
         parts.append(f"![Ours over the published number, {title}]({_figure(own[0].paper)}.svg)")
         for source in dict.fromkeys(_table_of(v.source) for v in own):
             parts.append(f"### {source}")
@@ -243,12 +254,18 @@ def _lines(own: Sequence[Value], known: Sequence[tuple[str, re.Pattern[str], str
     for v in own:
         cells = [cell(v.ours.get(reading)) for reading in readings] if apart else [_joined(v)]
         met = ("yes" if v.by_default else f"by {v.met_by[0]}") if v.met_by else "no"
-        lines.append((v.what, shown(v.published), *cells, met, _why(v, known)))
+        lines.append((v.what, _stated(v), *cells, met, _why(v, known)))
     return table(header, lines)
 
 
+def _stated(v: Value) -> str:
+    """The published number, a bound as one."""
+    bound = next((sign for end, sign in BOUNDS.items() if v.source.endswith(end)), "")
+    return bound + shown(v.published)
+
+
 def _joined(v: Value) -> str:
-    return "; ".join(f"{name}: {cell(row)}" for name, row in v.ours.items())
+    return "<br>".join(f"{name}: {cell(row)}" for name, row in v.ours.items())
 
 
 def _why(v: Value, known: Sequence[tuple[str, re.Pattern[str], str]]) -> str:

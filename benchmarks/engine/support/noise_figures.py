@@ -14,7 +14,7 @@ from fusion_sfdia.models.marine_engine.plant import SENSORS
 from fusion_sfdia.models.marine_engine.published import DELAYS, DELAYS_SOURCE, K24
 from fusion_sfdia.report.content import Figure
 from fusion_sfdia.report.plots import COLOURS, legend_above, panels
-from fusion_sfdia.report.results import Published, Row
+from fusion_sfdia.report.results import MORE_THAN, Published, Row
 from fusion_sfdia.report.scenario_sentences import pick
 from fusion_sfdia.study.diagnosis_metrics import Response
 
@@ -55,7 +55,7 @@ def published(sensor: str, group: str, level: float, metric: str) -> Published |
     place = ("detection_delay", "detection_delay_shortest", "detection_delay_longest").index(metric)
     if stated is None or (value := stated[place]) is None:
         return None
-    return Published(value, DELAYS_SOURCE + ": more than" * (stated.mean is None))
+    return Published(value, DELAYS_SOURCE + MORE_THAN * (stated.mean is None))
 
 
 def missed_figure(levels: list[float], found: Found) -> Figure:
