@@ -10,7 +10,7 @@ from typing import Any
 PAPERS = ("shaheen2024", "kougiatsos2024", "kougiatsos2022", "virtual2022", "boem2018")
 RULE = (
     "Met: within our interval and, as a wide interval proves nothing, ours within a factor 2 of it; or within 0.5 % "
-    "of it; an upper bound, where ours is not shown to exceed it."
+    "of it; a bound, where ours is not shown to be beyond it."
 )
 
 
