@@ -46,9 +46,10 @@ Array = NDArray[Any]
 LARGE = 128  # states and sensors from which a step takes longer than its calls
 SETTLED = 16  # steps in a row with the same readings in use, after which their gains at rest are computed
 SAME = 1e-6  # of the standard deviations: what P may differ from that at rest
-SAME_DT = 1e-9  # relative difference of steps that are equal to the rounding of the times
+SAME_DT = 1e-5  # relative difference of steps that are the plant's dt: seconds since 1970 are rounded to 2e-7
 LEAST = 1e-30  # below it an entry of a power of A counts as 0: products of denormal numbers take many times as long
-ROOM = 2e6  # numbers of a covariance, in all, of which gains are kept; each set takes some twenty times as many
+ROOM = 2e6  # numbers of a covariance, in all, of which gains are kept
+EACH = 20  # times as many numbers a set of gains takes, most of them powers of A
 
 
 class Gains(NamedTuple):
@@ -196,6 +197,11 @@ def can_rest(plant: Plant) -> bool:
     return len(plant.states) + len(plant.sensors) >= LARGE and plant.considered is None and all(plant.linear)
 
 
+def most_kept(n: int) -> float:
+    """The bytes that the gains which are kept take at most, with n states and as many sensors."""
+    return 8.0 * EACH * max(2 * n**2, ROOM)
+
+
 def near(p: Array, kept: Array) -> Array:
     """Whether P (B, n, n) differs little from that at rest (n, n): whether |P_ij - P_ij at rest| <= `SAME` sqrt(P_ii P_jj)."""
     if np.may_share_memory(p[0], kept) and len(single(p)) == 1:
@@ -237,8 +243,11 @@ def growth_of(step: WindowStep, effect: Effect, ages: int) -> Array:
 
 
 def predicted(plant: Plant, gains: Gains, x: Array, now: TimeStep, u: Array) -> tuple[Prior, Joint, Array]:
-    """The prediction from x (B, n), state and readings before the update, and runs in which the model is that of the gains."""
-    (_, ahead, moved, stuck, lost), F = guarded_step_and_jacobian(plant, now.t_start, x, u, now.dt)
+    """The prediction from x (B, n), state and readings before the update, and runs in which the model is that of the gains.
+
+    The step is plant.dt, so that a model that depends on it has the same F where times are rounded.
+    """
+    (_, ahead, moved, stuck, lost), F = guarded_step_and_jacobian(plant, now.t_start, x, u, plant.dt)
     expected, H = readings_and_jacobian(plant, now.t, ahead, u)
     same = all(a is b or np.array_equal(a, b) for a, b in ((F, gains.F), (H, gains.H)))
     P, S, C = (np.broadcast_to(a, (len(x), *a.shape)) for a in (gains.prior, gains.S, gains.C))

@@ -22,6 +22,7 @@ from fusion_sfdia.learning.inspection.steady import of_start
 from fusion_sfdia.learning.inspection.stepping import of_step, stepping
 from fusion_sfdia.learning.inspection.structure import of_structure, structural
 from fusion_sfdia.learning.inspection.turns import beyond_a_turn, of_turns, turns
+from fusion_sfdia.learning.inspection.waiting import of_waiting, waiting
 from fusion_sfdia.logs.log_forms import as_log
 from fusion_sfdia.plant.log import one_run
 from fusion_sfdia.plant.plant import Plant
@@ -95,6 +96,7 @@ def inspect(
     step = stepping(found)
     remarks += of_step(found, step)
     remarks += of_cost(found, cost(found))
+    remarks += of_waiting(found, waiting(found, log))
     readings = _attempt(partial(observability, found), "observability", remarks)
     remarks += [] if readings is None else of_readings(found, readings)
     theory, promise = None, None

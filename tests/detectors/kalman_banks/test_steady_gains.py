@@ -356,3 +356,22 @@ def test_small_and_nonlinear_plants_keep_nothing(monkeypatch: pytest.MonkeyPatch
     linear: Any = registry.detector("loo-glr", registry.plant("power-network"))
     monkeypatch.setattr(steady_gains, "LARGE", 128)
     assert linear.init().memory.steady and LeaveOneOutBank(chain(12)).init().memory.steady == ()
+
+
+def test_a_model_that_depends_on_its_step_rests_where_times_are_seconds_since_1970(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their differences are 0.1 s to 2e-7 s, and the Jacobian of each is another in its last digits."""
+    plant, rate = any_dt(chain(4)), np.array([1.0, 0.3, 2.0, 0.7])
+
+    def step(t: float, x: Array, u: Array, dt: float) -> Array:
+        return x * np.exp(-rate * dt)
+
+    numerics = replace(plant.numerics, step_jacobian=lambda t, x, u, dt: np.diag(np.exp(-rate * dt)))
+    plant = replace(plant, step=step, numerics=numerics, dt=0.1)
+    bank = LeaveOneOutBank(plant, window=WINDOW)
+    start, steps = 1.7e9, 120
+    rests = count_rests(monkeypatch)
+    _, found = run(
+        bank, bank.init((), start), start + 0.1 * np.arange(1, steps + 1), np.zeros((steps, 4)), np.zeros((steps, 0))
+    )
+    assert np.sum(rests) > 30
+    assert not found.alarm.any()
