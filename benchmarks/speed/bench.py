@@ -17,6 +17,7 @@ from fusion_sfdia.benchmarks.speed import (
     campaigns,
     engine,
     growth,
+    large,
     logs,
     lorenz,
     model,
@@ -48,9 +49,10 @@ PARTS = {
     "workers": workers,
     "peers": peers,
     "growth": growth,
+    "large": large,
     "roofline": roofline,
 }
-ON_REQUEST = ("roofline",)  # takes minutes
+ON_REQUEST = ("large", "roofline")  # take minutes
 UNITS = {"step_time": (1e3, " ms"), "peak_memory": (1e-6, " MB")}
 
 

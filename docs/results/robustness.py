@@ -38,9 +38,9 @@ ABOUT = """# When the model is wrong
 `fusion-sfdia run robustness`: no plant is as its model and its sensors are stated. The tables show what every detector, as it
 is shipped, makes of noise of other kinds, starts away from rest, model errors, and one or two causes at a time, live from the
 first row: whether it isolates healthy sensors, whether its verdict is right, undecided or wrong, and how far its confidence
-can be believed. Three of the plants are drawn at random, and no setting was chosen on them. Rows of `fusing-*` are of the
-printed feedback. Events of detectors other than `robust-glr` were counted while an event of one or two far readings still had
-its full confidence, and a late sensor was a fault."""
+can be believed. Three of the plants are drawn at random, and no setting was chosen on them. Events of detectors other than
+`robust-glr` and `fusing-*` were counted while an event of one or two far readings still had its full confidence, and a late
+sensor was a fault."""
 
 IMPOSSIBLE = """## What no detector can tell
 

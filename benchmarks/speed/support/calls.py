@@ -29,15 +29,17 @@ SETTLED = 16  # steps before the one that is timed: the window of the likelihood
 QUIET, ALARMING = 10.0, 1e-9  # thresholds in sigma of the sensors: never crossed and always crossed
 
 
-def repeated_step(detector: Detector, runs: int | None = None) -> Callable[[], tuple[State, Decision]]:
-    """A call that repeats one step of the detector, on healthy readings, always from the same settled state.
+def repeated_step(
+    detector: Detector, runs: int | None = None, settled: int = SETTLED, *, noise: bool = True
+) -> Callable[[], tuple[State, Decision]]:
+    """A call that repeats one step of the detector, on healthy readings, always from the same state after `settled` steps.
 
-    runs: of a batch, each with noise of its own; None for a single run.
+    runs: of a batch, each with noise of its own; None for a single run. noise: False for readings without it.
     """
     plant = detector.plant
-    healthy = simulate(plant, SETTLED + 1, range(1, (runs or 1) + 1), truth="model")
+    healthy = simulate(plant, settled + 1, range(1, (runs or 1) + 1), truth="model")
     of = 0 if runs is None else slice(None)
-    y, u = healthy.y[:, of], healthy.u_of_runs[:, of]
+    y, u = (healthy.y if noise else healthy.signal)[:, of], healthy.u_of_runs[:, of]
     state = detector.init(() if runs is None else (runs,), float(healthy.t[0]) - plant.dt)
     for time, reading, applied in zip(healthy.t[:-1], y[:-1], u[:-1], strict=True):
         state, _ = detector.step(state, float(time), reading, applied)
