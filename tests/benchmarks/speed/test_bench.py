@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from fusion_sfdia.benchmarks.engine.support.campaign import truth
-from fusion_sfdia.benchmarks.speed import bank, bench, campaigns, logs, model, network, own, scaling, workers
+from fusion_sfdia.benchmarks.speed import bank, bench, campaigns, large, logs, model, network, own, scaling, workers
 from fusion_sfdia.benchmarks.speed.support import engine_modules, lorenz_96, peers
 from fusion_sfdia.benchmarks.speed.support.against_filterpy import compiled_model, numpy_model, step_call
-from fusion_sfdia.benchmarks.speed.support.calls import Timed, timed, timed_rows, together
+from fusion_sfdia.benchmarks.speed.support.calls import Timed, repeated_step, timed, timed_rows, together
+from fusion_sfdia.benchmarks.speed.support.coupled import chained
 from fusion_sfdia.benchmarks.speed.support.local_cluster import secure_cluster
 from fusion_sfdia.benchmarks.speed.support.processes import timed_process
 from fusion_sfdia.cli.main import main
@@ -262,3 +263,23 @@ def test_bad_input_is_named_before_anything_is_timed(tmp_path: Path) -> None:
     ):
         bench.run(["model"], tmp_path, SHORT)
     assert (tmp_path / "metrics.csv").read_text() == "mine"
+
+
+def test_filters_beside_large_plants_give_the_same_and_gains_rest() -> None:
+    plant = chained(4)
+    for ours, theirs in zip(large.by_hand(plant)(), large.filterpy(plant)(), strict=True):
+        np.testing.assert_allclose(ours, np.reshape(theirs, np.shape(ours)), rtol=1e-13, atol=1e-15)
+    for name in large.DETECTORS:
+        detector = registry.detector(name, large.at_rest(chained(64)))
+        state, _ = repeated_step(detector, settled=large.SETTLED + 1, noise=False)()
+        assert state.memory.steady.rests.all()
+
+
+def test_the_part_on_large_plants_has_all_rows_and_least_times() -> None:
+    rows = large.measure(SHORT, (4, 8))
+    times = {(r.quantity, r.detector, r.condition): r.value for r in rows if r.metric == "step_time"}
+    assert len(times) == 2 * (1 + 2 * len(large.DETECTORS) + 2)
+    assert times["8 states", "none", "least, filter"] == pytest.approx(8 * times["4 states", "none", "least, filter"])
+    assert times["8 states", "none", "least, at rest"] == pytest.approx(4 * times["4 states", "none", "least, at rest"])
+    ratios = {(r.quantity, r.detector, r.condition) for r in rows if r.metric == "ratio"}
+    assert ("4 states", "robust-glr", "at rest, filterpy") in ratios
