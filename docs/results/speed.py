@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from math import log
 from pathlib import Path
@@ -19,7 +20,8 @@ from fusion_sfdia.benchmarks.speed.growth import ABOVE, CASES
 from fusion_sfdia.report.results import Row, read_rows, rounded, write_rows
 
 HERE = Path(__file__).parent
-NUMBERS, PAGE, FIGURE = HERE / "speed.csv", HERE / "speed.md", HERE / "speed-scaling.svg"
+NUMBERS, PAGE = HERE / "speed.csv", HERE / "speed.md"
+FIGURE, FIGURE_LARGE = HERE / "speed-scaling.svg", HERE / "speed-large.svg"
 DIGITS = 3
 HOUR = 3600.0
 CORES = 1000
@@ -223,6 +225,71 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         figure.savefig(path, metadata={"Date": None})
 
 
+CURVES = {  # of large plants: detector and condition, with a line
+    ("loo-glr", "every step"): "o-",
+    ("loo-glr", "at rest"): "o--",
+    ("robust-glr", "every step"): "s-",
+    ("robust-glr", "at rest"): "s--",
+    ("none", "Cholesky"): "^-",
+    ("none", "least, filter"): ":",
+    ("none", "least, at rest"): "-.",
+}
+
+
+def large(rows: Sequence[Row]) -> dict[tuple[str, str], list[tuple[float, float, float]]]:
+    """States, time, and time over that of filterpy's filter, of each curve of large plants."""
+    filterpy = {r.quantity: r.value for r in rows_of_filterpy(rows)}
+    found: dict[tuple[str, str], list[tuple[float, float, float]]] = {}
+    for r in of(rows, "large", "step_time"):
+        states = float(r.quantity.partition(" ")[0])
+        found.setdefault((r.detector, r.condition), []).append((states, r.value, r.value / filterpy[r.quantity]))
+    return found
+
+
+def rows_of_filterpy(rows: Sequence[Row]) -> list[Row]:
+    """The time of filterpy's filter by size, from that by hand and its ratio."""
+    ratio = {r.quantity: r.value for r in of(rows, "large", "ratio") if r.detector == "none"}
+    return [replace(r, value=r.value / ratio[r.quantity]) for r in of(rows, "large", "step_time") if r.condition == "Cholesky"]
+
+
+def large_table(rows: Sequence[Row]) -> str:
+    """A line for each size, with time and, in brackets, the ratio to filterpy."""
+    curves = large(rows)
+    sizes = sorted({n for points in curves.values() for n, *_ in points})
+    lines = []
+    for n in sizes:
+        cells = []
+        for curve in CURVES:
+            _, time, ratio = next(point for point in curves[curve] if point[0] == n)
+            cells.append(f"{seconds(time)} ({ratio:.2g})")
+        filterpy = next(r.value for r in rows_of_filterpy(rows) if r.quantity == f"{n:g} states")
+        lines.append((f"{n:g}", seconds(filterpy), *cells))
+    names = (", ".join(part for part in curve if part != "none") for curve in CURVES)
+    exponent = [exponents([point[:2] for point in curves[curve][-3:]]).split(";")[0] for curve in CURVES]
+    first = exponents([(float(r.quantity.split()[0]), r.value) for r in rows_of_filterpy(rows)][-3:]).split(";")[0]
+    lines.append((f"exponent from {sizes[-3]:g} on", first, *exponent))
+    return table(("states, sensors", "filterpy", *names), lines)
+
+
+def draw_large(rows: Sequence[Row], path: Path) -> None:
+    """Times of a step over the number of states, relative to filterpy's filter."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context({"svg.hashsalt": "speed", "svg.fonttype": "none", "font.size": 9}):
+        figure = Figure(figsize=(6.4, 3.4), layout="constrained")
+        axes = figure.subplots()
+        for curve, line in CURVES.items():
+            detector, condition = curve
+            states, _, ratio = zip(*large(rows)[curve], strict=True)
+            colour = {"loo-glr": "C0", "robust-glr": "C1"}.get(detector, "C2" if condition == "Cholesky" else "gray")
+            axes.loglog(states, ratio, line, color=colour, label=", ".join(part for part in curve if part != "none"))
+        axes.axhline(1.0, color="black", linewidth=0.8)
+        axes.set(xlabel="states, and as many sensors", ylabel="time of a step / filterpy's filter")
+        axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
+        figure.savefig(path, metadata={"Date": None})
+
+
 def workers(rows: Sequence[Row]) -> str:
     """Pieces on processes and workers, and what a piece costs beside its work."""
     time = {(r.quantity, r.condition): r.value for r in of(rows, "workers", "step_time")}
@@ -293,6 +360,18 @@ core.*
 The exponent of a line through all points, and of the last two, where constant costs count least; the highest power in the
 algebra of sensors is 3, that of areas 1:
 """
+LARGE = """## Large plants
+
+![Time of a step of plants of 10 to 1000 states over that of filterpy's filter](speed-large.svg)
+
+*A chain of linear states, each read by a sensor, on one thread. 1: a prediction and an update by filterpy's Kalman filter in
+the same run. Cholesky: the same in NumPy and SciPy, with a factorisation. Grey: what the operations of that filter, and the
+matrices that a step at rest reads, take at least at the measured rates of products and of copies.*
+
+`fusion-sfdia bench large`. Every step: gains change with each row, as after a start, an alarm or a reading that is missing. At
+rest: the model is linear and does not change, the same sensors have been read for some rows, and none is far off; then gains
+are kept. In brackets the ratio to filterpy's filter:
+"""
 
 
 def render(rows: Sequence[Row]) -> str:
@@ -302,6 +381,7 @@ def render(rows: Sequence[Row]) -> str:
         (MEMORY, memory),
         (PEERS, peers),
         (SCALING, scaling),
+        (LARGE, large_table),
         (CLUSTER, workers),
         (GROWTH.format(above=ABOVE), counted),
         (HISTORY, lambda _: ""),
@@ -313,4 +393,5 @@ if __name__ == "__main__":
     if sys.argv[1:]:
         write_rows(NUMBERS, load([Path(p) for p in sys.argv[1:]]))
     draw(load([NUMBERS]), FIGURE)
+    draw_large(load([NUMBERS]), FIGURE_LARGE)
     PAGE.write_text(render(load([NUMBERS])), encoding="utf-8")
