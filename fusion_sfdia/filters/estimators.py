@@ -7,7 +7,7 @@ an EnsembleState for the ensemble filter. Predictions keep the plant's limits, s
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +59,7 @@ class Prior(NamedTuple):
 
 
 class Estimator(Protocol):
-    """A Kalman filter as a bank needs it; rng serves those that draw random numbers.
+    """A Kalman filter as a bank needs it; rng serves those that draw random numbers, as `is_random` states.
 
     start: the core of a batch at the plant's x0. predict: over [t_start, t_start + dt] with input u. joint: of state and
     readings at t. update: mean and covariance after the readings y at t (NaN: not used), of this filter by itself. assimilate:
@@ -67,6 +67,8 @@ class Estimator(Protocol):
     moved to x and its covariance scaled by cov_gain to p, the bank's results for it. consistent: whether S = H P H' + R and
     C = P H' hold in its joint Gaussian.
     """
+
+    is_random: ClassVar[bool]
 
     @property
     def consistent(self) -> bool: ...
@@ -150,6 +152,7 @@ class Extended(Conditioned, Moments):
     True
     """
 
+    is_random: ClassVar[bool] = False
     consistent: bool = field(default=True, init=False, repr=False)
 
     def predict(self, plant: Plant, core: Core, t_start: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
@@ -192,6 +195,7 @@ class Unscented(Conditioned, Moments):
     True
     """
 
+    is_random: ClassVar[bool] = False
     points: ukf.SigmaPoints = field(default_factory=ukf.SigmaPoints)
     redraw: bool = True
 
@@ -246,6 +250,7 @@ class Ensemble(Conditioned):
     True
     """
 
+    is_random: ClassVar[bool] = True
     settings: enkf.EnKFSettings = field(default_factory=enkf.EnKFSettings)
     consistent: bool = field(default=True, init=False, repr=False)
 
@@ -305,6 +310,7 @@ class GaussianParticles(Moments):
     4
     """
 
+    is_random: ClassVar[bool] = True
     size: int = 1000
     consistent: bool = field(default=False, init=False, repr=False)
 
@@ -398,3 +404,11 @@ def _drawn(x: Array, p: Array, z: Array) -> Array:
 def step_stream(seed: Array | int, step: Array | int) -> np.random.Generator:
     """The generator of one step of one seed (Philox, the step in the highest counter word); no two steps share numbers."""
     return np.random.Generator(np.random.Philox(key=int(seed), counter=[0, 0, 0, int(step)]))
+
+
+UNUSED = step_stream(0, 0)  # of filters that draw nothing: to make a generator takes as long as a small product
+
+
+def drawn_by(estimator: Estimator, seed: Array | int, step: Array | int) -> np.random.Generator:
+    """The generator of a step for an estimator, `UNUSED` for one that draws nothing."""
+    return step_stream(seed, step) if estimator.is_random else UNUSED

@@ -14,7 +14,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
@@ -60,6 +60,8 @@ class _Unscented(UnscentedKalmanFilter):  # type: ignore[misc]
 
 class _OneRun(Moments, ABC):
     """The update and the joint Gaussian of a filter that takes one state at a time."""
+
+    is_random: ClassVar[bool] = False
 
     @abstractmethod
     def _updated(self, plant: Plant, prior: Prior, t: float, y: Array, u: Array) -> Callable[[tuple[int, ...]], Any]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rounding import rounding
-from toy_plants import chain, readings
+from toy_plants import chain, readings, tanks
 
 from fusion_sfdia.common.errors import NotApplicableError
 from fusion_sfdia.detectors import registry
@@ -21,8 +21,10 @@ from fusion_sfdia.detectors.kalman_banks.moving_horizon_bank import MovingHorizo
 from fusion_sfdia.detectors.kalman_banks.multiple_model import MultipleModel
 from fusion_sfdia.detectors.kalman_banks.particle_filter import ParticleFilter
 from fusion_sfdia.detectors.kalman_banks.sequential_bank import SequentialBank
+from fusion_sfdia.detectors.stochastic_thresholds.monte_carlo import MonteCarlo
 from fusion_sfdia.filters import ukf
-from fusion_sfdia.filters.estimators import Ensemble, Extended, Unscented
+from fusion_sfdia.filters.estimators import Ensemble, Extended, GaussianParticles, Reading, Unscented, step_stream
+from fusion_sfdia.filters.filterpy_estimators import FilterpyExtended, FilterpyUnscented
 from fusion_sfdia.filters.ukf import SigmaPoints
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.uncertainty import Uncertainty
@@ -49,6 +51,24 @@ def schmidt(plant: Plant, y: Array) -> tuple[list[Array], list[Array]]:
         estimates.append(x)
         covariances.append(P)
     return estimates, covariances
+
+
+EVERY = (
+    *(Extended(), Unscented(redraw=True), Unscented(redraw=False), FilterpyExtended(), FilterpyUnscented()),
+    *(Ensemble(), GaussianParticles(), MonteCarlo()),
+)
+
+
+@pytest.mark.parametrize("estimator", EVERY, ids=str)
+def test_a_filter_draws_random_numbers_if_and_only_if_it_states_so(estimator: Any) -> None:
+    """Those that draw none are handed one generator for all steps."""
+    plant, rng = tanks(), step_stream(3, 5)
+    before, u = str(rng.bit_generator.state), plant.input_at(0.0)[None]
+    core = estimator.start(plant, (1,), rng)
+    prior = estimator.predict(plant, core, 0.0, u, plant.dt, rng)
+    joint = estimator.joint(plant, prior, plant.dt, u)
+    estimator.assimilate(plant, prior, Reading(plant.dt, joint.y, u), joint.x, joint.P, rng)
+    assert estimator.is_random == (str(rng.bit_generator.state) != before)
 
 
 @pytest.mark.parametrize("estimator", [Unscented(redraw=True), Unscented(redraw=False), Ensemble()], ids=str)

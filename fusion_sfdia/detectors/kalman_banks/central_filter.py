@@ -13,9 +13,8 @@ from fusion_sfdia.common.arguments import probability
 from fusion_sfdia.detectors.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.detectors.detector import Decision
 from fusion_sfdia.detectors.health import broken
-from fusion_sfdia.detectors.kalman_banks.excluding_bank import UNUSED
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import normalised_innovation_squared, posterior, statistics
-from fusion_sfdia.filters.estimators import Core, Estimator, Extended, Reading, Unscented, require_filter, step_stream
+from fusion_sfdia.filters.estimators import Core, Estimator, Extended, Reading, drawn_by, require_filter, step_stream
 
 Array = NDArray[Any]
 
@@ -65,15 +64,12 @@ class CentralFilter(BatchDetector):
 
     def _judge(self, memory: Core, now: TimeStep, y: Array, u: Array) -> tuple[Core, Decision]:
         plant, est = self.plant, self.estimator
-        drawn = [UNUSED] * 2
-        if not isinstance(est, Extended | Unscented):
-            drawn = [step_stream(now.seed, now.k + offset) for offset in (0, 2**32)]
-        prior = est.predict(plant, memory, now.t_start, u, now.dt, drawn[0])
+        prior = est.predict(plant, memory, now.t_start, u, now.dt, drawn_by(est, now.seed, now.k))
         joint = est.joint(plant, prior, now.t, u)
         y = plant.near(y, joint.y)
         found = statistics(joint, y, np.isfinite(y))
         x, p = posterior(joint, found)
-        after = est.assimilate(plant, prior, Reading(now.t, y, u), x, p, drawn[1])
+        after = est.assimilate(plant, prior, Reading(now.t, y, u), x, p, drawn_by(est, now.seed, now.k + 2**32))
         expected = plant.output(now.t, x, u)
         residual = y - joint.y
         alpha = -ndtri(self.false_alarm / y.shape[-1] / 2) * self.threshold_scale

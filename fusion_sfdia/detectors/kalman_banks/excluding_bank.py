@@ -15,15 +15,13 @@ from fusion_sfdia.detectors.detector import Decision
 from fusion_sfdia.detectors.exclusion import Exclusion, exclude, readmit, restored
 from fusion_sfdia.detectors.health import broken
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import LeaveOneOut, normalised_innovation_squared
-from fusion_sfdia.filters.estimators import Estimator, Prior, require_consistent, step_stream
+from fusion_sfdia.filters.estimators import Estimator, Prior, require_consistent
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.filters.sparse import variances
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.redundancy import most_faults, redundancy, require_max_faults, why_no_more
 
 Array = NDArray[Any]
-
-UNUSED = step_stream(0, 0)  # consistent filters draw nothing
 
 
 class ExclusionUpdate(NamedTuple):

@@ -56,6 +56,7 @@ from fusion_sfdia.filters.estimators import (
     Prior,
     Reading,
     Unscented,
+    drawn_by,
     require_filter,
     require_none_considered,
     step_stream,
@@ -347,7 +348,7 @@ class FusingBank(BatchDetector):
             cores = [mapped(lambda a, i=i: np.take(a, i, axis=axis), core) for i in range(len(self.plant.sensors))]
             plants = self._plants
         return [
-            self.estimator.predict(plant, c, now.t_start, u, now.dt, step_stream(now.seed, now.k))
+            self.estimator.predict(plant, c, now.t_start, u, now.dt, drawn_by(self.estimator, now.seed, now.k))
             for c, plant in zip(cores, plants, strict=True)
         ]
 
@@ -404,7 +405,7 @@ class FusingBank(BatchDetector):
                 Reading(now.t, y, u, noise_gain=count / (count - 1), cov_gain=c / count),
                 mixed.x,
                 repeated(c * single(mixed.p), mixed.p),
-                step_stream(now.seed, now.k + 2**32),
+                drawn_by(self.estimator, now.seed, now.k + 2**32),
             )
             for prior, c in zip(priors, factor, strict=False)
         ]

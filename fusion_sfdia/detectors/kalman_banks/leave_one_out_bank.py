@@ -27,7 +27,7 @@ from fusion_sfdia.common.arguments import whole
 from fusion_sfdia.detectors.batch_detector import TimeStep
 from fusion_sfdia.detectors.detector import Decision
 from fusion_sfdia.detectors.exclusion import Exclusion, none_excluded
-from fusion_sfdia.detectors.kalman_banks.excluding_bank import UNUSED, ExcludingBank, ExclusionUpdate, SensorTests
+from fusion_sfdia.detectors.kalman_banks.excluding_bank import ExcludingBank, ExclusionUpdate, SensorTests
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import (
     LeaveOneOut,
     eliminate,
@@ -60,7 +60,7 @@ from fusion_sfdia.detectors.kalman_banks.steady_gains import (
     weigh_at_rest,
 )
 from fusion_sfdia.detectors.kalman_banks.window_step import LastUpdate, last_update, no_update, window_step
-from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, Prior, step_stream
+from fusion_sfdia.filters.estimators import UNUSED, Estimator, Extended, GaussianState, Prior, step_stream
 
 Array = NDArray[Any]
 

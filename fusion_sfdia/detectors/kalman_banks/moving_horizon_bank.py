@@ -22,12 +22,12 @@ from fusion_sfdia.detectors.batch_detector import TimeStep
 from fusion_sfdia.detectors.detector import Decision
 from fusion_sfdia.detectors.exclusion import Exclusion, none_excluded
 from fusion_sfdia.detectors.kalman_banks import moving_horizon
-from fusion_sfdia.detectors.kalman_banks.excluding_bank import UNUSED, ExclusionUpdate, SensorTests
+from fusion_sfdia.detectors.kalman_banks.excluding_bank import ExclusionUpdate, SensorTests
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import posterior, statistics
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.detectors.kalman_banks.moving_horizon import Horizons
 from fusion_sfdia.filters import gaussian
-from fusion_sfdia.filters.estimators import GaussianState, step_stream
+from fusion_sfdia.filters.estimators import UNUSED, GaussianState, step_stream
 
 Array = NDArray[Any]
 HORIZONS = 2  # besides the horizon of the present reading

@@ -33,9 +33,9 @@ from fusion_sfdia.common.arguments import number, probability
 from fusion_sfdia.detectors.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.detectors.detector import Decision
 from fusion_sfdia.detectors.health import broken
-from fusion_sfdia.detectors.kalman_banks.excluding_bank import UNUSED
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import LeaveOneOut, normalised_innovation_squared, posterior, statistics
 from fusion_sfdia.filters.estimators import (
+    UNUSED,
     Estimator,
     Extended,
     GaussianState,

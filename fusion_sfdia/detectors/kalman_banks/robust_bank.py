@@ -48,7 +48,7 @@ from fusion_sfdia.detectors.kalman_banks.competition import (
     one_sample_evidence,
     suspects,
 )
-from fusion_sfdia.detectors.kalman_banks.excluding_bank import UNUSED, ExcludingBank, ExclusionUpdate, SensorTests, least_change
+from fusion_sfdia.detectors.kalman_banks.excluding_bank import ExcludingBank, ExclusionUpdate, SensorTests, least_change
 from fusion_sfdia.detectors.kalman_banks.freed_estimates import Tested, moved, with_alternatives, with_prior_unknowns
 from fusion_sfdia.detectors.kalman_banks.fresh_look import (
     FIRST,
@@ -103,7 +103,7 @@ from fusion_sfdia.detectors.kalman_banks.steady_gains import (
 from fusion_sfdia.detectors.kalman_banks.window_step import WindowStep, last_update, window_step
 from fusion_sfdia.detectors.verdicts import FAR
 from fusion_sfdia.filters import gaussian
-from fusion_sfdia.filters.estimators import Extended, GaussianState, Prior, step_stream
+from fusion_sfdia.filters.estimators import UNUSED, Extended, GaussianState, Prior, step_stream
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.plant import slow_noise
 from fusion_sfdia.plant.plant import Plant

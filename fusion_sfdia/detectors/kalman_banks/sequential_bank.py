@@ -29,10 +29,10 @@ from fusion_sfdia.common.arguments import shown
 from fusion_sfdia.detectors.batch_detector import TimeStep
 from fusion_sfdia.detectors.detector import Decision
 from fusion_sfdia.detectors.exclusion import Exclusion, none_excluded
-from fusion_sfdia.detectors.kalman_banks.excluding_bank import UNUSED, ExcludingBank, ExclusionUpdate, SensorTests
+from fusion_sfdia.detectors.kalman_banks.excluding_bank import ExcludingBank, ExclusionUpdate, SensorTests
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import LeaveOneOut, eliminate, one_hot, posterior, statistics
 from fusion_sfdia.detectors.kalman_banks.sequential_rules import SequentialRule, Shewhart
-from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, Prior, step_stream
+from fusion_sfdia.filters.estimators import UNUSED, Estimator, Extended, GaussianState, Prior, step_stream
 from fusion_sfdia.filters.gaussian import Joint
 
 Array = NDArray[Any]

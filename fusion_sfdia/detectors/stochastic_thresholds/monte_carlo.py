@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -22,6 +23,7 @@ class MonteCarlo(Conditioned, Moments):
     The draws of a step depend on seed and time, and are the same for all runs of a batch.
     """
 
+    is_random: ClassVar[bool] = True
     draws: int = 1000
 
     def __post_init__(self) -> None:
