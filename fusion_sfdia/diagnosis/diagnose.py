@@ -241,14 +241,14 @@ class Diagnosis:
         return lines if more < 1 else [*lines, f"and {more} more gaps"]
 
     def __str__(self) -> str:
-        return "\n".join([self.verdict, *(f"  {event.told(self.clock)}" for event in self.events)])
+        return "\n".join([self.verdict, *(f"  {event.summary(self.clock)}" for event in self.events)])
 
     def __repr__(self) -> str:
         count = len(self.events)
         return f"<{type(self).__name__} of {len(self.t)} readings, {count} event{'s' * (count != 1)}: {self.verdict}>"
 
     def _repr_html_(self) -> str:
-        rows = [(e.hypothesis, self.clock.at(e.start), self.clock.at(e.end), e.told(self.clock)) for e in self.events]
+        rows = [(e.hypothesis, self.clock.at(e.start), self.clock.at(e.end), e.summary(self.clock)) for e in self.events]
         return as_html(self.verdict, self.health.line if self.health else "", ("what", "from", "to", "in words"), rows)
 
     def frame(self) -> Any:

@@ -156,7 +156,7 @@ def sentence(e: Event, words: Words, clock: Clock, *, ended: bool = True) -> str
             "right. Check whether it was intended; if so, learn from it."
         )
     if e.kind != "sensor" or isinstance(e, OtherEvent):
-        return f"{_first(e.told(clock))}."
+        return f"{_first(e.summary(clock))}."
     return _sensor(e, words.get(e.hypothesis) or Wording("sensor", e.hypothesis), words, when, ended)
 
 

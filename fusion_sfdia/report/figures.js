@@ -76,10 +76,10 @@ function plot(paper) {
       const x = place(cursor);
       for (const { box } of panels) made("path", { d: `M${x} ${box[1]}V${box[3]}`, stroke: "#444", "stroke-width": 0.8 }, above);
     }
-    says.textContent = cursor === null ? HINT : told();
+    says.textContent = cursor === null ? HINT : readout();
   }
 
-  function told() {
+  function readout() {
     const at = left + cursor * width, fine = Math.abs(time[1] - time[0]) / width / 100;
     const values = lines.flatMap((line) => {
       const k = nearest(line.x, at);

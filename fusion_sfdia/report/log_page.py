@@ -193,5 +193,5 @@ def _row(found: Diagnosis, e: Event) -> dict[str, str]:
         "size": size_of(e, found.words),
         "sigmas": f"{abs(e.sigmas):.3g}" if math.isfinite(e.sigmas) and size_of(e, found.words) else "",
         "confidence": confidence_of(e),
-        "told": e.told(found.clock),
+        "summary": e.summary(found.clock),
     }

@@ -162,7 +162,9 @@ def test_what_is_rather_something_else_is_named_as_a_possibility() -> None:
     assert verdict([unlikely], np.arange(3.0)) == "perhaps c"
     assert verdict([unlikely, replace(sure, hypothesis="c")], np.arange(3.0)) == "sensor c"
     alone = UndecidedEvent("a", 1.0, 4.0, np.nan, "", False, ("a",))
-    assert alone.told(Clock()) == "perhaps a, from 1 s to 4 s"
+    assert alone.summary(Clock()) == "perhaps a, from 1 s to 4 s"
+    with pytest.warns(DeprecationWarning, match=r"Event\.summary"):
+        assert alone.told(Clock()) == alone.summary(Clock())
 
 
 @pytest.mark.parametrize(("samples", "speaks"), [(2, False), (3, True)])

@@ -72,11 +72,11 @@ def test_it_shows_state_findings_and_figures() -> None:
     assert page.parts()["findings"] == healthy["findings"]  # drawn a moment ago
     assert "Out of specification" in page.parts()["state"]  # which is always of now
     ticks.time += POLL
-    told = page.parts()
-    assert re.search(r"Flow between the tanks q12 has read .* too high since 155 s", told["findings"])
-    assert told["figures"].count("data-plot=") == told["figures"].count("<svg") == 3
+    shown = page.parts()
+    assert re.search(r"Flow between the tanks q12 has read .* too high since 155 s", shown["findings"])
+    assert shown["figures"].count("data-plot=") == shown["figures"].count("<svg") == 3
     answer = page.answer("/parts")
-    assert answer is not None and json.loads(answer.text) == told
+    assert answer is not None and json.loads(answer.text) == shown
     whole = page.answer("/")
     assert whole is not None and "q12" in whole.text and whole.text.count("<script>") == 1
     assert not re.search(r'(src|href)="(?!#|data:)', whole.text)  # nothing else is fetched
@@ -144,8 +144,8 @@ def test_only_this_machine_is_answered_and_a_port_in_use_is_named() -> None:
                 assert error.code == status
         with pytest.raises(urllib.error.HTTPError, match="501"):  # it is read alone
             urllib.request.urlopen(f"http://127.0.0.1:{port}/", data=b"x", timeout=PATIENCE)
-        told = rf"--page: 127.0.0.1:{port} cannot be served \(.*\); name another port"
-        with pytest.raises(ValueError, match=told), served("page", "127.0.0.1", port, lambda path: None):
+        expected = rf"--page: 127.0.0.1:{port} cannot be served \(.*\); name another port"
+        with pytest.raises(ValueError, match=expected), served("page", "127.0.0.1", port, lambda path: None):
             pass
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", port))

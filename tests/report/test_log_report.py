@@ -78,8 +78,8 @@ def test_what_was_found_is_first() -> None:
 def test_a_sensor_that_is_off_throughout_has_its_unit_questioned() -> None:
     always = Y[:, 0] + 20 * PLANT.sensor_sigma * (np.arange(4) == 2)
     seen = diagnose(LeaveOneOutBank(PLANT, false_alarm=1e-6), T, always, U[:, 0])
-    told = "q12 is off throughout, since before the log: check its unit and the inputs first"
-    assert told in as_text(seen, "loo").splitlines()
+    expected = "q12 is off throughout, since before the log: check its unit and the inputs first"
+    assert expected in as_text(seen, "loo").splitlines()
     assert "since before" not in as_text(BOTH, "process-bank")
     frozen = replace(seen, events=tuple(replace(e, fault="freeze") for e in seen.events))
     assert not frozen.remarks
@@ -93,11 +93,11 @@ def column(name: str, title: str, unit: str) -> Source:
 def test_people_see_the_tags_and_units_of_their_log_and_tables_those_of_the_plant(tmp_path: Path) -> None:
     shown_in = LogUnits(PLANT, [column("q12", "FI12.PV", "m3/h"), column("l1", "LI1.PV [mm]", "mm"), column("l2", "l2", "")])
     _, sensor, _, undecided, *_ = as_text(shown_in.diagnosis(BOTH), "process-bank").splitlines()
-    told = "Flow between the tanks FI12.PV has read 0.432 m3/h (0.421 to 0.443) too high since 105 s; the error persists."
-    assert sensor.startswith(f"  {told} Check") and "level of the upper tank LI1.PV or the recorded flow" in undecided
+    expected = "Flow between the tanks FI12.PV has read 0.432 m3/h (0.421 to 0.443) too high since 105 s; the error persists."
+    assert sensor.startswith(f"  {expected} Check") and "level of the upper tank LI1.PV or the recorded flow" in undecided
     write_diagnosis(tmp_path, PLANT, BIASED, U[:, 0], BOTH, shown_in=shown_in)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert told in page and "0.432 m3/h" in page and "0.00012" not in page
+    assert expected in page and "0.432 m3/h" in page and "0.00012" not in page
     assert "sensor,q12,105.0,200.0,0.000119" in (tmp_path / "events.csv").read_text(encoding="utf-8")
     header, row = (tmp_path / "reconstructed.csv").read_text(encoding="utf-8").splitlines()[:2]
     flags = "LI1.PV flag,l2 flag,FI12.PV flag,q2 flag,replaced"
@@ -184,7 +184,7 @@ def test_the_report_states_health_events_and_gaps(tmp_path: Path) -> None:
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count("<script>") == 1 and not re.search(r'(src|xlink:href|href)="(?!#|data:)', page)  # nothing is fetched
     text = html.unescape(re.sub(r"<svg.*?</svg>|<(style|script)>.*?</\1>|<[^>]*>", " ", page, flags=re.DOTALL))
-    for told in (
+    for part in (
         "Diagnosis of <unit> 4.csv",
         "37 rows of 4 sensors of two-tanks, from 2026-03-01 23:58:05 to 2026-03-02 00:01:20; all times in UTC+01:00.",
         "1 faulty sensor.",
@@ -196,7 +196,7 @@ def test_the_report_states_health_events_and_gaps(tmp_path: Path) -> None:
         "q12: bias",
         "All sensors",
     ):
-        assert told in text, told
+        assert part in text, part
     assert page.count("<svg") == 2  # q12 from near, all sensors; of one event a time line is none
     opening = text[: text.index("Each finding")]
     assert "NIS" not in opening and "sigma" not in opening and "odel suspect" not in opening
@@ -256,8 +256,8 @@ def test_each_finding_is_a_sentence_and_has_its_picture(tmp_path: Path) -> None:
     events = (*BOTH.events[:2], small, large)
     write_page(tmp_path / "report.html", PLANT, BIASED, replace(BOTH, events=events), notes)
     page = html.unescape((tmp_path / "report.html").read_text(encoding="utf-8"))
-    told = ("q12 drifted until it read", "q12 had spikes of", "Outlet has been 5.0 %", "The readings did not show", "<h2>Each")
-    places = [page.index(text) for text in told]
+    texts = ("q12 drifted until it read", "q12 had spikes of", "Outlet has been 5.0 %", "The readings did not show", "<h2>Each")
+    places = [page.index(text) for text in texts]
     assert places == sorted(places)
     for title in ("1. q12: drift", "2. q12: spikes", "3. outlet: process", "4. Undecided"):
         assert f"<h3>{title}</h3>" in page

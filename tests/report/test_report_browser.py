@@ -161,14 +161,14 @@ def test_a_figure_is_read_and_zoomed(browser: Any, diagnosis: str) -> None:
 
     keys = webdriver.Keys
     browser.execute_script("arguments[0].focus()", paper)
-    told = []
+    readouts = []
     for key in (keys.HOME, keys.ARROW_RIGHT, keys.ARROW_RIGHT, keys.ARROW_LEFT, keys.END):
         action_chains(browser).send_keys(key).perform()
-        told.append(says.text.split(": ")[0])
-    assert told == [*sorted(told[:3]), told[1], "2026-03-02 00:03:00"] and len(set(told)) == 4
+        readouts.append(says.text.split(": ")[0])
+    assert readouts == [*sorted(readouts[:3]), readouts[1], "2026-03-02 00:03:00"] and len(set(readouts)) == 4
     action_chains(browser).send_keys("++").perform()
     assert "zoomed" in paper.get_attribute("class")
-    assert "23:5" in told[0] and told[0] not in paper.text
+    assert "23:5" in readouts[0] and readouts[0] not in paper.text
     action_chains(browser).send_keys(keys.ESCAPE).perform()
     assert "zoomed" not in paper.get_attribute("class") and says.text.startswith("Point at the picture")
     assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
