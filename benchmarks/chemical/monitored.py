@@ -40,7 +40,7 @@ def monitored_tasks(settings: Settings, seeds: int) -> list[Task]:
 
 
 def method_rows(task: Task, arrays: Arrays) -> list[Row]:
-    """False alarms as counted in d00 and in d00_te, and exact isolation of biases and drifts of sensors for which that is possible."""
+    """False alarms as counted in d00 and in d00_te, and exact isolation of biases and drifts where sizes suffice."""
     by, alarm, isolable = task["detector"], arrays["healthy alarm"], arrays["isolable"]
     found = [
         row(by, "none", "all", "alarm_probability", once(arrays["held-out"][0], 1), condition="d00, held out"),

@@ -344,18 +344,20 @@ def _when(t: Array, a: int, b: int) -> tuple[float, float]:
 
 
 def verdict(events: Sequence[Event], t: Array) -> str:
-    """What the events of readings at times t (K,) say together: process or model, what is undecided, sensors, or no fault."""
+    """What the events of readings at times t (K,) say together, in the order of findings: sensors, process or model, what is
+    undecided, or no fault.
+    """
     parts = []
+    likely = [e for e in events if not e.confidence < EVEN]
+    for kind, word in (("sensor", "sensor"), ("other", "fault")):
+        if named := [e.hypothesis for e in likely if e.kind == kind]:
+            parts.append(f"{word}{'s' * (len(set(named)) > 1)} {listed(named)}")
     if process := [e.hypothesis for e in events if e.kind == "process"]:
         parts.append(f"process or model: {listed(process)}")
     if outside := [e.hypothesis for e in events if e.kind == "outside"]:
         parts.append(f"outside what was learnt: {listed(outside)}")
     for suspects in dict.fromkeys(e.suspects for e in open_questions(events, t)):
         parts.append(unsure(suspects))
-    likely = [e for e in events if not e.confidence < EVEN]
-    for kind, word in (("sensor", "sensor"), ("other", "fault")):
-        if named := [e.hypothesis for e in likely if e.kind == kind]:
-            parts.append(f"{word}{'s' * (len(set(named)) > 1)} {listed(named)}")
     known = {e.hypothesis for e in likely}
     if others := [e.hypothesis for e in events if e.confidence < EVEN and e.hypothesis not in known]:
         parts.append(f"perhaps {listed(others)}")

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors.detector import Detector, ProcessHypothesis
+from fusion_sfdia.detectors.verdicts import Verdict
 from fusion_sfdia.diagnosis.events import (
     CERTAIN,
     EVEN,
@@ -29,23 +30,26 @@ LEAST = 0.05  # of a sensor's sigma: a smaller size is none
 
 
 class Kind(NamedTuple):
-    """A kind of events for people. rank: its place among findings, from 0; word: on a page and beside an axis; one, many: when
-    they are counted.
+    """A kind of events for people. rank: its place among findings, from 0; verdict: of a log whose first finding it is; word:
+    on a page and beside an axis; one, many: when they are counted.
     """
 
     rank: int
+    verdict: Verdict
     word: str
     one: str
     many: str
 
 
+OPERATION = ("kind of unknown operating condition", "kinds of unknown operating condition")
 KINDS = {
-    "sensor": Kind(0, "sensor", "faulty sensor", "faulty sensors"),
-    "other": Kind(0, "other fault", "other fault", "other faults"),
-    "process": Kind(1, "process", "process change", "process changes"),
-    "outside": Kind(2, "not learnt", "kind of unknown operating condition", "kinds of unknown operating condition"),
-    "undecided": Kind(3, "undecided", "unresolved alarm", "unresolved alarms"),
-    "possible": Kind(4, "possible", "possible fault", "possible faults"),  # any with a confidence below `EVEN`
+    "sensor": Kind(0, Verdict.SENSOR, "sensor", "faulty sensor", "faulty sensors"),
+    "other": Kind(1, Verdict.PROCESS, "other fault", "other fault", "other faults"),
+    "process": Kind(2, Verdict.PROCESS, "process", "process change", "process changes"),
+    "outside": Kind(3, Verdict.OUTSIDE, "not learnt", *OPERATION),
+    "undecided": Kind(4, Verdict.UNDECIDED, "undecided", "unresolved alarm", "unresolved alarms"),
+    # any with a confidence below `EVEN`
+    "possible": Kind(5, Verdict.UNDECIDED, "possible", "possible fault", "possible faults"),
 }
 
 AGREES, PERSISTS = "it agrees with the model again", "the error persists"

@@ -97,22 +97,25 @@ def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosi
         file.write(page)
 
 
-def findings_of(plant: Plant, y: NDArray[np.float64], found: Diagnosis, figures: int) -> list[dict[str, Any]]:
-    """The findings of readings y (K, N), the most important first, as texts; the first ones, so many, with a figure."""
-    passing = set(map(id, found.passing))
+def findings_of(
+    plant: Plant, y: NDArray[np.float64], found: Diagnosis, figures: int, *, open_first: bool = False
+) -> list[dict[str, Any]]:
+    """The findings of readings y (K, N), the most important first, as texts; the first ones, so many, with a figure.
+
+    open_first: those that still act before those that are over, of each the most important first.
+    """
     groups: dict[tuple[str, str, str, bool], list[Event]] = {}
-    for e in found.findings:
-        if id(e) not in passing:
-            groups.setdefault((e.kind, e.hypothesis, e.fault, e.fault in SIDED and e.size < 0), []).append(e)
+    for e in found.standing:
+        groups.setdefault((e.kind, e.hypothesis, e.fault, e.fault in SIDED and e.size < 0), []).append(e)
     least, most, all_of_them = POINTS
     points = min(most, max(least, all_of_them // max(len(groups), 1)))
     rows = min(MOST_EVENTS[0], max(1, MOST_EVENTS[1] // max(len(groups), 1)))
     findings = []
-    for k, own in enumerate(groups.values()):
+    for k, own in enumerate(sorted(groups.values(), key=lambda own: open_first and not any(e.open for e in own))):
         figure, title = None, _title(found, own)
         if k < figures:
             figure = _drawn(found, f"f{k}", title, partial(near, plant, y, found, own, points), _caption(own))
-        findings.append(_finding(found, own, rows) | {"title": title, "figure": figure})
+        findings.append(_finding(found, own, rows) | {"number": k + 1, "title": title, "figure": figure})
     return findings
 
 
@@ -161,8 +164,9 @@ def _caption(own: Sequence[Event]) -> str:
 
 
 def finding_texts(e: Event, words: Words, sentences: Sequence[str], more: str = "") -> dict[str, Any]:
-    """What stands of a finding, by its most important event, where findings are listed."""
+    """What is shown of a finding, by its most important event, where findings are listed."""
     return {
+        "open": e.open,
         "kind": e.kind,
         "word": kind_of(e).word,
         "sentences": sentences,
@@ -179,6 +183,7 @@ def _finding(found: Diagnosis, own: Sequence[Event], most: int) -> dict[str, Any
     more = f"{len(own)} occurrences in all, {found.clock.span(start, end)}; see Numbers." if many else ""
     sentences = [found.sentence(e) for e in (own[:1] if many else own)]
     return finding_texts(first, found.words, sentences, more) | {
+        "open": any(e.open for e in own),
         "rows": [_row(found, e) for e in own[:most]],
         "hidden": max(0, len(own) - most),
     }

@@ -133,7 +133,7 @@ def test_the_figure_begins_with_a_time_line_of_all_verdicts() -> None:
     figure = draw(PLANT, BIASED, BOTH)
     titles = [axes.get_title(loc="left") for axes in figure.axes]
     assert titles == [
-        "process or model: outlet; cannot tell: l1 or error of inflow; sensor q12",
+        "sensor q12; process or model: outlet; cannot tell: l1 or error of inflow",
         "outlet: process or model",
         "q12: 1 event",
         "l1: not isolated",  # but suspected
