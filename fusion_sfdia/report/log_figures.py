@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from datetime import timedelta
+from datetime import datetime, timedelta, tzinfo
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -53,11 +54,12 @@ def time_axis(found: Diagnosis) -> TimeAxis:
 
 
 def on_screen(figure: Figure, found: Diagnosis) -> dict[str, Any]:
-    """What a script needs to read and zoom a figure that is laid out: {"time": [first, last], "zone", "unit", "panels": [...]}.
+    """What a script needs to read and zoom a figure that is laid out: {"time": [first, last], "offsets", "unit", "panels"}.
 
-    time: ends of the time axis, s since 1970 in a zone, such as "Europe/Amsterdam" or "+01:00", or a number of the unit. Of
-    each panel its box [left, top, right, bottom] in the units of the SVG, the ends of its y axis with their unit, the lines
-    whose ids end with their names, and the names of its rows, each one high, where it has names in place of numbers.
+    time: ends of the time axis, s since 1970, or a number of the unit. offsets: of the clock's zone (s), each with the time
+    from which it holds, [[first, 3600], [1774746000, 7200]] where summer time begins within. Of each panel its box [left,
+    top, right, bottom] in the units of the SVG, the ends of its y axis with their unit, the lines whose ids end with their
+    names, and the names of its rows, each one high, where it has names in place of numbers.
     """
     at, (width, height) = time_axis(found), figure.get_size_inches() * SVG_DPI
     panels, time = [], (0.0, 1.0)
@@ -77,11 +79,26 @@ def on_screen(figure: Figure, found: Diagnosis) -> dict[str, Any]:
                 "rows": {"names": names, "first": ends[1] + 0.5, "span": ends[0] - ends[1]},
             }
         )
-    start = found.clock.start
-    if start is None:
-        return {"time": time, "zone": "", "unit": at.unit, "panels": panels}
-    zone = "" if start.tzinfo is None else str(getattr(start.tzinfo, "key", "")) or start.isoformat()[-6:]
-    return {"time": [86_400 * day for day in time], "zone": zone, "unit": "", "panels": panels}
+    if found.clock.start is None:
+        return {"time": time, "offsets": [[time[0], 0.0]], "unit": at.unit, "panels": panels}
+    first, last = (86_400 * day for day in time)
+    return {"time": [first, last], "offsets": offsets(found.clock.start.tzinfo, first, last), "unit": "", "panels": panels}
+
+
+def offsets(zone: tzinfo | None, first: float, last: float) -> list[list[float]]:
+    """The offsets of a zone from UTC (s) between two times, each with the time from which it holds; times in s since 1970."""
+
+    def at(t: float) -> float:
+        return 0.0 if zone is None else (datetime.fromtimestamp(t, zone).utcoffset() or timedelta(0)).total_seconds()
+
+    found = [[first, at(first)]]
+    for low, high in pairwise([*np.arange(first, last, 86_400.0).tolist(), last]):
+        if at(high) != found[-1][1]:
+            while high - low > 0.5:
+                middle = (low + high) / 2
+                low, high = (middle, high) if at(middle) == found[-1][1] else (low, middle)
+            found.append([float(round(high)), at(high)])
+    return found
 
 
 def time_line(axes: Axes, found: Diagnosis, most: int = MOST_ROWS) -> None:

@@ -213,3 +213,10 @@ def test_a_page_is_served_while_rows_come(
     assert "The last 0.1 hours" in page and "q2 has read" in page and "q2: out of specification" in page
     assert watched(monkeypatch, b"", "--page", "70000") == 2
     assert "--page is 70000; expected a port" in capsys.readouterr().err
+    for options, error in (
+        (("--page-hours", "8"), "--page-hours needs --page, the page that goes back so far; add --page 8080, or leave"),
+        (("--page", "0", "--page-hours", "-1"), "--page-hours is -1; expected a positive number of hours"),
+        (("--page", "0", "--page-hours", "0"), "--page-hours is 0; expected a positive number of hours"),
+    ):
+        assert watched(monkeypatch, b"", *options) == 2
+        assert error in capsys.readouterr().err

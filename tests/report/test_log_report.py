@@ -6,9 +6,10 @@ import csv
 import html
 import re
 from dataclasses import replace
-from datetime import datetime, timedelta, timezone
+from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
+from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ from fusion_sfdia.logs.csv_log import read_log
 from fusion_sfdia.plant.gaps import Gap
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.report.figure_files import figure_svg
-from fusion_sfdia.report.log_figures import MOST_POINTS, broken, near, on_screen, thinned, time_axis
+from fusion_sfdia.report.log_figures import MOST_POINTS, broken, near, offsets, on_screen, thinned, time_axis
 from fusion_sfdia.report.log_page import About, write_page
 from fusion_sfdia.report.log_report import FILES, as_text, draw, write_diagnosis
 from fusion_sfdia.report.log_units import LogUnits
@@ -287,7 +288,8 @@ def test_a_figure_states_how_its_lines_are_read_as_times_and_values() -> None:
 
         svg = figure_svg("f", draw_one, text="none", laid_out=lambda figure, seen=seen: plots.append(on_screen(figure, seen)))  # type: ignore[misc]
     seconds, wall = plots
-    assert (seconds["unit"], seconds["zone"]) == ("min", "") and (wall["unit"], wall["zone"]) == ("", "+01:00")
+    assert (seconds["unit"], seconds["offsets"]) == ("min", [[seconds["time"][0], 0.0]])
+    assert (wall["unit"], wall["offsets"]) == ("", [[wall["time"][0], 3600.0]])
     start = WHEN.start.timestamp()  # type: ignore[union-attr]
     np.testing.assert_allclose((np.array(wall["time"]) - start) / 60, seconds["time"], atol=1e-5)  # days since 1970 have 1e-6 s
     upper, lower, strip = wall["panels"]
@@ -301,6 +303,15 @@ def test_a_figure_states_how_its_lines_are_read_as_times_and_values() -> None:
     rows = np.searchsorted(T, t - 1)
     np.testing.assert_allclose(t, T[rows], atol=0.01)
     np.testing.assert_allclose(y, BIASED[rows, 2], atol=1e-6 * np.ptp(upper["y"]))  # an SVG of matplotlib has 6 decimals
+
+
+def test_the_offsets_of_a_zone_are_known_from_their_first_second() -> None:
+    first, last = (datetime(2026, month, 20, tzinfo=UTC).timestamp() for month in (3, 11))
+    spring, autumn = datetime.fromisoformat("2026-03-29T01:00Z"), datetime.fromisoformat("2026-10-25T01:00Z")
+    in_time = [[first, 3600.0], [spring.timestamp(), 7200.0], [autumn.timestamp(), 3600.0]]
+    assert offsets(ZoneInfo("Europe/Amsterdam"), first, last) == in_time
+    assert offsets(ZoneInfo("Asia/Kolkata"), first, last) == [[first, 19_800.0]]
+    assert offsets(None, first, last) == [[first, 0.0]]
 
 
 @pytest.mark.long
