@@ -26,6 +26,7 @@ from fusion_sfdia.common.numerals import decimal, integer
 
 if TYPE_CHECKING:
     from fusion_sfdia.live.left_out_lines import Remarks
+    from fusion_sfdia.live.page import LivePage
     from fusion_sfdia.live.saving import SavedWatch
     from fusion_sfdia.live.status import Status
     from fusion_sfdia.live.webhook import Webhook
@@ -198,14 +199,14 @@ def _watched(chosen: argparse.Namespace, webhook: Webhook | None, refused: Remar
             _alarms(chosen, saved),
             beating(chosen.status_every, beat),
             nullcontext() if at is None else served("metrics", *at, metrics_at(status)),
-            _page(chosen, saved, status),
+            _page(chosen, saved, status) as page,
         ):
             if chosen.opcua:
                 _server(chosen, saved)
             elif chosen.mqtt:
                 _broker(chosen, saved)
             else:
-                _text(chosen, saved, log_map)
+                _text(chosen, saved, log_map, page)
     finally:
         chosen.interruption.acknowledge()
         saved.save()
@@ -234,10 +235,10 @@ def _require_page(chosen: argparse.Namespace) -> None:
 
 
 @contextmanager
-def _page(chosen: argparse.Namespace, saved: SavedWatch, status: Status) -> Iterator[None]:
+def _page(chosen: argparse.Namespace, saved: SavedWatch, status: Status) -> Iterator[LivePage | None]:
     """Within the block, the page of --page is there."""
     if chosen.page is None:
-        yield
+        yield None
         return
     from fusion_sfdia.live.page import HOURS, LivePage
     from fusion_sfdia.live.status import served
@@ -247,10 +248,10 @@ def _page(chosen: argparse.Namespace, saved: SavedWatch, status: Status) -> Iter
     saved.outlets.append(lambda change, line: page.changed(change))
     with served("page", "127.0.0.1", chosen.page, page.answer) as port:
         _say(f"page: http://127.0.0.1:{port}/")
-        yield
+        yield page
 
 
-def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap) -> None:
+def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap, page: LivePage | None) -> None:
     from fusion_sfdia.live.text_rows import TextRows, lines
 
     watch = saved.watch
@@ -268,6 +269,8 @@ def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap) -> Non
                 raise
             saved.watch.refused(f"line {number}: {error}; it is not taken")
             continue
+        if page is not None and not page.shown_in.tags and rows.reader is not None:
+            page.show_in(rows.reader.sources.columns)
         if row is not None:
             watch.unread.update(rows.absent)
             saved.update(*row)

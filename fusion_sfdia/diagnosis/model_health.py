@@ -106,7 +106,7 @@ class Health(NamedTuple):
         numbers = f"NIS {self.nis:.3g} over {self.samples} samples (expected 1, suspect above {self.limit:.2g})"
         parts = [*self.remarks, *([numbers] if self.tested else [])]
         if self.excess:
-            few = _few([f"{name} ({value:.2g} times)" for name, value in self.excess.items()])
+            few = _few([f"{name} ({float(f'{value:.2g}'):g} times)" for name, value in self.excess.items()])
             parts.append(f"{len(self.excess)} of {self.sensors} sensors vary more or slower than stated: {few}")
         if self.shifts:
             few = _few([f"{name} (by {value:+.2g} standard deviations)" for name, value in self.shifts.items()])

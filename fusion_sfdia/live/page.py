@@ -6,7 +6,7 @@ import json
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -25,7 +25,9 @@ from fusion_sfdia.diagnosis.events import Event, listed
 from fusion_sfdia.diagnosis.sentences import by_importance, sentence, wordings
 from fusion_sfdia.diagnosis.watch import Sample, Watch
 from fusion_sfdia.live.status import Answer, Status
+from fusion_sfdia.logs.columns import Source
 from fusion_sfdia.report.log_page import finding_texts, findings_of, line_drawn, overview_drawn
+from fusion_sfdia.report.log_units import LogUnits
 from fusion_sfdia.report.page import page_environment, part
 
 HOURS = 4.0
@@ -69,10 +71,15 @@ class LivePage:
             raise ValueError(f"the page goes back {hours} hours; expected a positive number")
         self.watch, self.status, self.now = watch, status, now
         self.plant, self.words, self.environment = watch.detector.plant, wordings(watch.detector), page_environment()
+        self.shown_in = LogUnits(self.plant, ())
         self.rows: deque[Kept] = deque(maxlen=MOST_ROWS)
         self.events = dict(watch.findings.changes.open_events())
         self.lock = threading.Condition()
         self.drawing, self.drawn, self.fresh_until = False, {"findings": "", "figures": ""}, -np.inf
+
+    def show_in(self, columns: Sequence[Source]) -> None:
+        """From now on show tags and units of the columns from which the rows come, in place of the plant's."""
+        self.shown_in = LogUnits(self.plant, columns)
 
     def taken(self, samples: tuple[Sample, ...]) -> None:
         """Rows that were diagnosed."""
@@ -131,7 +138,7 @@ class LivePage:
     def _state(self) -> str:
         """The lamp, and the states of the sensors."""
         report = self.status.report()
-        health = report.device_health
+        health = {self.shown_in.tags.get(name, name): state for name, state in report.device_health.items()}
         lamp = _lamp(report.conclusion, health)
         sensors = [(name, state.name, *STATES[state]) for state in STATES for name, own in health.items() if own is state]
         return self._rendered("state", report=report, lamp=lamp, sensors=[s for s in sensors if s[1] != "NORMAL"])
@@ -146,18 +153,13 @@ class LivePage:
             return {"findings": self._rendered("findings", acting=stands, over=[]), "figures": ""}
         t, y = np.array([row.t for row in rows]), np.stack([row.y for row in rows])
         shown = tuple(replace(e, end=float(t[-1])) if e.open else e for e in events if e.open or e.end >= t[0])
-        found = Diagnosis(
-            shown,
-            stack([row.decision for row in rows]),
-            t,
-            self.watch.detector.process_hypotheses,
-            self.watch.clock,
-            words=self.words,
-        )
-        findings = findings_of(self.plant, y, found, MOST_FIGURES if len(rows) > 1 else 0, open_first=True)
+        decisions, tested = stack([row.decision for row in rows]), self.watch.detector.process_hypotheses
+        of_plant, shown_in = Diagnosis(shown, decisions, t, tested, self.watch.clock, words=self.words), self.shown_in
+        plant, y, found = shown_in.plant, shown_in.readings(y), shown_in.diagnosis(of_plant)
+        findings = findings_of(plant, y, found, MOST_FIGURES if len(rows) > 1 else 0, open_first=True)
         acting, over = ([f for f in findings if f["open"] is acts] for acts in (True, False))
         whole = [line_drawn(found)] if shown else []
-        whole += [overview_drawn(self.plant, y, found)] if len(rows) > 1 else []
+        whole += [overview_drawn(plant, y, found)] if len(rows) > 1 else []
         return {
             "findings": self._rendered("findings", acting=acting, over=over),
             "figures": self._rendered("figures", findings=findings, whole=whole),

@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from datetime import datetime, timedelta, tzinfo
 from itertools import pairwise
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,8 @@ MOST_POINTS = 1500  # of a line
 MANY = 500  # events, of which more are drawn as pixels
 MOST_DOTS = 200  # of a line whose points are marked
 MOST_BESIDE = 3  # other verdicts beside that of a finding
-LONGEST = 32  # characters of a name beside an axis
+WIDE = 24  # characters of a line beside a vertical axis
+LONGEST, BRIEF = 36, 33  # characters of a name beside the axis of a time line, and of a picture of a finding
 USUAL, LOUD = 3.0, 6.0  # standard deviations within which readings are as usual, and that the overview shows as the darkest
 COLOUR = {  # of events by their kind
     "process": COLOURS[1],
@@ -45,7 +47,7 @@ COLOUR = {  # of events by their kind
 def time_axis(found: Diagnosis) -> TimeAxis:
     """The axis of a diagnosis: of its clock, else in minutes, of more than 5 hours in hours, of more than 5 days in days."""
     if found.clock.start is not None:
-        zone = found.clock.start.strftime("%Z")
+        zone = found.clock.zone
         day = f"{found.clock.start + timedelta(seconds=float(found.t[0])):%Y-%m-%d}"
         return TimeAxis(found.clock, 1.0, "", f"time{f' ({zone})' if zone else ''} from {day} on")
     span = float(found.t[-1] - found.t[0])
@@ -102,9 +104,9 @@ def offsets(zone: tzinfo | None, first: float, last: float) -> list[list[float]]
 
 
 def time_line(axes: Axes, found: Diagnosis, most: int = MOST_ROWS) -> None:
-    """A bar for each event over time, a row for each hypothesis, the process first; `most` rows at most."""
+    """A bar for each event over time, a row for each hypothesis, in the order of findings; `most` rows at most."""
     at = time_axis(found)
-    rows = list(dict.fromkeys((e.kind, e.hypothesis) for e in found.events))
+    rows = list(dict.fromkeys((e.kind, e.hypothesis) for e in found.findings))
     named = {(e.kind, e.hypothesis): label(found, e) for e in found.events}
     shown = rows if len(rows) <= most else rows[: most - 1]
     step = _step(found.t)
@@ -215,12 +217,15 @@ def near(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event], poin
         expected = np.where(np.isfinite(error), reading - error, expected)
     shown = thinned(reading, points)
     line = ".-" if shown.size == reading.size and shown.size < MOST_DOTS else "-"
-    figure = Figure(figsize=(4.8, 4.2), layout="constrained")
-    upper, lower, strip = figure.subplots(3, 1, sharex=True, height_ratios=(6, 3, 1.2))
+    ends = (float(t[window][0]), float(t[window][-1]))
+    inside = [e for e in found.findings if e.start <= ends[1] and e.end >= ends[0]]
+    rows = list(dict.fromkeys((e.kind, e.hypothesis) for e in (events[0], *inside)))[: MOST_BESIDE + 1]
+    figure = Figure(figsize=(4.8, 4.1 + 0.1 * len(rows)), layout="constrained")
+    upper, lower, strip = figure.subplots(3, 1, sharex=True, height_ratios=(6, 3, 0.8 + 0.4 * len(rows)))
     sd = usual / USUAL
     each = [v[shown] for v in (expected - 2 * sd, expected + 2 * sd, expected, reading, error, usual)]
     times, (low, high, middle, read, difference, limit) = broken(t[window][shown], each, found.gaps)
-    x, step, name, colour = at(times), _step(t), KINDS[events[0].kind].word, COLOUR[events[0].kind]
+    x, step, word, colour = at(times), _step(t), KINDS[events[0].kind].word, COLOUR[events[0].kind]
     if found.after is not None:
         upper.fill_between(x, low, high, color=COLOURS[2], alpha=0.25, lw=0, label="expected range (95 %)")
     dots = {"color": COLOURS[0], "markersize": 3, "linewidth": 0.8}
@@ -230,9 +235,10 @@ def near(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event], poin
     lower.fill_between(x, -limit, limit, color="0.85", lw=0, zorder=0)
     spans = [(float(at(e.start)), float(at(e.end + step))) for e in events]
     for axes in (upper, lower):
-        shade(axes, spans, color=colour, alpha=0.15, zorder=0, lw=0, label=f"found: {name}" if axes is upper else None)
-    _strip(strip, found, events, (float(t[window][0]), float(t[window][-1])))
-    upper.set_ylabel(f"{plant.sensor_names[i]} [{unit}]")
+        shade(axes, spans, color=colour, alpha=0.15, zorder=0, lw=0, label=f"found: {word}" if axes is upper else None)
+    _strip(strip, found, rows, inside, ends)
+    name = fill(plant.sensor_names[i], WIDE)
+    upper.set_ylabel(f"{name}{' ' if len(name) + len(unit) < WIDE else chr(10)}[{unit}]")
     lower.set_ylabel(f"difference\n[{unit}]" if found.after is not None else "over its\nlimit")
     strip.set_xlim(float(x[0]), float(at(t[window][-1] + step)))
     at.label_on(strip)
@@ -283,25 +289,34 @@ def _differences(found: Diagnosis, i: int) -> tuple[Array, Array]:
     return over, np.ones_like(over)
 
 
-def _strip(axes: Axes, found: Diagnosis, events: Sequence[Event], window: tuple[float, float]) -> None:
-    """The verdicts in a window (s): a bar for each event, a row for this finding and up to MOST_BESIDE others."""
-    one = (events[0].kind, events[0].hypothesis)
-    inside = [e for e in found.findings if e.start <= window[1] and e.end >= window[0]]
-    rows = list(dict.fromkeys([one, *((e.kind, e.hypothesis) for e in inside)]))[: MOST_BESIDE + 1]
+def _strip(
+    axes: Axes, found: Diagnosis, rows: Sequence[tuple[str, str]], inside: Sequence[Event], window: tuple[float, float]
+) -> None:
+    """The verdicts in a window (s): a bar for each event inside, each in the row of its kind and hypothesis."""
     for row, (kind, hypothesis) in enumerate(rows):
         own = [e for e in inside if (e.kind, e.hypothesis) == (kind, hypothesis)]
         _bars(axes, found, own, window, row, COLOUR[kind])
-    labels = {(e.kind, e.hypothesis): label(found, e, most=1) for e in inside}
+    labels = {(e.kind, e.hypothesis): label(found, e, BRIEF) for e in inside}
     axes.set_yticks(range(len(rows)), [labels.get(row, row[1]) for row in rows], fontsize=7)
     axes.set_ylim(len(rows) - 0.5, -0.5)
     axes.grid(visible=False, axis="y")
 
 
-def label(found: Diagnosis, e: Event, most: int = 2) -> str:
-    """The name of an event beside an axis: of an undecided one those of the first suspects."""
-    names = e.suspects if isinstance(e, UndecidedEvent) else (e.hypothesis,)
-    text = listed([found.words[name].name if name in found.words else name for name in names], " or ", most)
-    return text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…"
+def label(found: Diagnosis, e: Event, longest: int = LONGEST) -> str:
+    """The name of an event beside an axis: of an undecided one those of the first suspects, as many as have room."""
+    names = [short(found, name, longest) for name in (e.suspects if isinstance(e, UndecidedEvent) else (e.hypothesis,))]
+    texts = [listed(names, " or ", most) for most in (2, 1)]
+    text = next((text for text in texts if len(text) <= longest), texts[-1])
+    if len(text) > longest and len(names) > 1:
+        text = f"{names[0]} or {len(names) - 1} more"
+    return text if len(text) <= longest else f"{text[: longest - 1]}…"
+
+
+def short(found: Diagnosis, hypothesis: str, longest: int) -> str:
+    """What a hypothesis is called where there is little room: a sensor or an input its tag, others in few words."""
+    w = found.words.get(hypothesis)
+    words = "" if w is None or w.part in ("sensor", "input") else w.meaning.removeprefix("the ")
+    return words if 0 < len(words) <= longest else w.name if w else hypothesis
 
 
 def broken(t: Array, series: Sequence[Array], gaps: Sequence[Gap]) -> tuple[Array, list[Array]]:

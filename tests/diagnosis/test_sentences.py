@@ -36,7 +36,7 @@ INFLOW = ProcessEvent("error of inflow", 0.0, 6720.0, 1e-4, "m3/s", False, sd=1e
 
 def test_a_sensor_is_told_as_a_technician_would() -> None:
     assert sentence(TT04, WORDS, NIGHT) == (
-        "Mixed-air temperature TT04 read 1.5 K (1.3 to 1.7) too high from 2026-03-01 02:07 to 03:59; it agrees with the model "
+        "Mixed-air temperature TT04 read 1.5 K (1.3 to 1.7) too high from 2026-03-01 02:07 to 03:59; it reads as expected "
         "again. Check the sensor's wiring or calibration."
     )
     low = replace(TT04, hypothesis="l1", size=-1.5, low=-1.7, high=-1.3, open=True, confidence=0.6, alternatives=("TT04",))

@@ -19,6 +19,8 @@ from fusion_sfdia.diagnosis.watch import Watch
 from fusion_sfdia.live.page import MOST_ROWS, POLL, LivePage
 from fusion_sfdia.live.saving import SavedWatch
 from fusion_sfdia.live.status import Answer, Status, served
+from fusion_sfdia.logs.columns import Source
+from fusion_sfdia.logs.conversion import conversion
 
 PATIENCE = 60  # s, after which the test fails instead of hanging
 PLANT = tanks()
@@ -81,6 +83,11 @@ def test_it_shows_state_findings_and_figures() -> None:
     assert whole is not None and "q12" in whole.text and whole.text.count("<script>") == 1
     assert not re.search(r'(src|href)="(?!#|data:)', whole.text)  # nothing else is fetched
     assert page.answer("/etc/passwd") is None
+    page.show_in([Source("FI12.PV [m3/h]", "q12", 2, False, "m3/h", conversion("m3/h", "m3/s"))])
+    ticks.time += 100 * POLL
+    shown = page.parts()
+    assert re.search(r"Flow between the tanks FI12.PV has read 0\.4.* m3/h .*too high since 155 s", shown["findings"])
+    assert "FI12.PV: out of specification" in shown["state"] and "[m3/h]" in shown["figures"]
 
 
 def test_rows_and_events_are_few_however_long_it_runs() -> None:

@@ -24,13 +24,14 @@ from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBa
 from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.diagnosis.diagnose import Diagnosis, diagnose_run
 from fusion_sfdia.diagnosis.hindsight_steps import Residuals
+from fusion_sfdia.diagnosis.sentences import Wording
 from fusion_sfdia.logs.columns import Source
 from fusion_sfdia.logs.conversion import conversion
 from fusion_sfdia.logs.csv_log import read_log
 from fusion_sfdia.plant.gaps import Gap
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.report.figure_files import figure_svg
-from fusion_sfdia.report.log_figures import MOST_POINTS, broken, near, offsets, on_screen, thinned, time_axis
+from fusion_sfdia.report.log_figures import MOST_POINTS, broken, label, near, offsets, on_screen, thinned, time_axis
 from fusion_sfdia.report.log_page import About, write_page
 from fusion_sfdia.report.log_report import FILES, as_text, draw, write_diagnosis
 from fusion_sfdia.report.log_units import LogUnits
@@ -140,10 +141,10 @@ def test_the_figure_begins_with_a_time_line_of_all_verdicts() -> None:
         "l1: not isolated",  # but suspected
     ]
     line, size, *_ = figure.axes
-    assert [label.get_text() for label in line.get_yticklabels()] == ["outlet", "l1 or inflow", "q12"]
-    assert [text.get_text() for text in line.texts] == ["process", "undecided", "bias"]
+    assert [label.get_text() for label in line.get_yticklabels()] == ["q12", "outlet", "l1 or inflow"]
+    assert [text.get_text() for text in line.texts] == ["bias", "process", "undecided"]
     starts = [bars.get_paths()[0].vertices[:, 0].min() for bars in line.collections]
-    np.testing.assert_allclose(starts, [45 / 60, 10 / 60, 105 / 60])
+    np.testing.assert_allclose(starts, [105 / 60, 45 / 60, 10 / 60])
     shown = np.asarray(size.get_lines()[0].get_ydata(), dtype=float)
     np.testing.assert_allclose(shown[8:], -0.05)  # of the nominal value
     assert np.isnan(shown[:8]).all()
@@ -155,7 +156,7 @@ def test_readings_are_drawn_on_the_axis_of_the_time_line(hours: bool) -> None:
     seen = replace(BOTH, t=1000 * T, events=tuple(replace(e, start=1000 * e.start, end=1000 * e.end) for e in BOTH.events))
     line, *rest = draw(PLANT, BIASED, seen if hours else replace(BOTH, clock=WHEN)).axes
     labels = [axes.get_xlabel() for axes in (line, *rest)]
-    assert set(labels) == {"time (h)" if hours else "time (CET) from 2026-03-01 on"}
+    assert set(labels) == {"time (h)" if hours else "time (UTC+01:00) from 2026-03-01 on"}
     for axes in rest:
         x = np.asarray(axes.get_lines()[0].get_xdata(), dtype=float)
         low, high = line.get_xlim()
@@ -227,7 +228,7 @@ def test_the_axis_of_times_follows_the_clock_or_the_span() -> None:
         and time_axis(replace(BOTH, t=10_000 * T)).label == "time (days)"
     )
     wall = time_axis(replace(BOTH, clock=WHEN))
-    assert wall.label == "time (CET) from 2026-03-01 on"
+    assert wall.label == "time (UTC+01:00) from 2026-03-01 on"
     assert num2date(wall(65.0), tz=WHEN.start.tzinfo).isoformat() == "2026-03-01T23:59:05+01:00"  # type: ignore[union-attr]
 
 
@@ -305,6 +306,16 @@ def test_a_figure_states_how_its_lines_are_read_as_times_and_values() -> None:
     np.testing.assert_allclose(y, BIASED[rows, 2], atol=1e-6 * np.ptp(upper["y"]))  # an SVG of matplotlib has 6 decimals
 
 
+def test_names_beside_an_axis_are_tags_or_few_words() -> None:
+    seen = replace(BOTH, words={**BOTH.words, "outlet": Wording("parameter", "outlet", "the outlet of the upper tank")})
+    (outlet,) = (e for e in seen.events if e.hypothesis == "outlet")
+    (between,) = (e for e in seen.events if e.kind == "undecided")
+    assert label(seen, outlet) == "outlet of the upper tank" and label(seen, outlet, 10) == "outlet"
+    several = replace(between, suspects=("outlet", "l1", "q12"))
+    assert label(seen, several) == "outlet of the upper tank or 2 more" and label(seen, several, 18) == "outlet or 2 more"
+    assert label(seen, between, 11) == "l1 or 1 mo…"
+
+
 def test_the_offsets_of_a_zone_are_known_from_their_first_second() -> None:
     first, last = (datetime(2026, month, 20, tzinfo=UTC).timestamp() for month in (3, 11))
     spring, autumn = datetime.fromisoformat("2026-03-29T01:00Z"), datetime.fromisoformat("2026-10-25T01:00Z")
@@ -312,6 +323,16 @@ def test_the_offsets_of_a_zone_are_known_from_their_first_second() -> None:
     assert offsets(ZoneInfo("Europe/Amsterdam"), first, last) == in_time
     assert offsets(ZoneInfo("Asia/Kolkata"), first, last) == [[first, 19_800.0]]
     assert offsets(None, first, last) == [[first, 0.0]]
+
+
+@pytest.mark.parametrize("hours", [2.9, 2.5 * 24, 71.9])
+def test_a_span_of_three_of_a_unit_has_ticks_of_the_wall_clock_without_a_warning(hours: float) -> None:
+    axis = time_axis(replace(BOTH, clock=WHEN))
+    figure = Figure()
+    axes = figure.subplots()
+    axes.set_xlim(float(axis(0.0)), float(axis(3600 * hours)))
+    axis.label_on(axes)
+    assert 3 <= len(axes.get_xticks()) <= 7  # warnings are errors
 
 
 @pytest.mark.long
