@@ -354,9 +354,10 @@ def process_size(axes: Axes, found: Diagnosis, name: str) -> None:
     at, shown = time_axis(found), thinned(size)
     x, size, sd = at(found.t[shown]), size[shown], sd[shown]
     axes.plot(x, size * scale, color=COLOURS[1], label="above the model")
-    axes.fill_between(x, (size - 2 * sd) * scale, (size + 2 * sd) * scale, color=COLOURS[1], alpha=0.2, label="+- 2 sd", lw=0)
+    axes.fill_between(x, (size - 2 * sd) * scale, (size + 2 * sd) * scale, color=COLOURS[1], alpha=0.2, label="95 %", lw=0)
     axes.axhline(0.0, color="0.4", linewidth=1)
-    axes.set(ylabel=name if share or events[0].unit == "1" else f"{name} [{events[0].unit}]")
+    unit = "" if share or events[0].unit == "1" else f" [{events[0].unit}]"
+    axes.set(ylabel=f"above the model{unit}")
     at.label_on(axes)
     if share:
         axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=None))

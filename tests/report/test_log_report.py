@@ -135,8 +135,8 @@ def test_the_figure_begins_with_a_time_line_of_all_verdicts() -> None:
     figure = draw(PLANT, BIASED, BOTH)
     titles = [axes.get_title(loc="left") for axes in figure.axes]
     assert titles == [
-        "sensor q12; process or model: outlet; cannot tell: l1 or error of inflow",
-        "outlet: process or model",
+        "1 faulty sensor, 1 process change, 1 unresolved alarm",
+        "outlet",
         "q12: 1 event",
         "l1: not isolated",  # but suspected
     ]
@@ -149,6 +149,17 @@ def test_the_figure_begins_with_a_time_line_of_all_verdicts() -> None:
     np.testing.assert_allclose(shown[8:], -0.05)  # of the nominal value
     assert np.isnan(shown[:8]).all()
     assert len({axes.get_xlim() for axes in figure.axes}) == 1
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["above the model", "95 %", "reading", "reconstructed", "fault"]
+
+
+def test_an_error_of_an_input_is_drawn_in_the_unit_of_the_log() -> None:
+    seen = found(Y[:, 0], accept=(NEVER, 9))
+    shown_in = LogUnits(PLANT, [Source("FC1", "inflow", 0, True, "m3/h", conversion("m3/h", "m3/s"))])
+    axes = draw(shown_in.plant, Y[:, 0], shown_in.diagnosis(seen)).axes[1]
+    assert axes.get_title(loc="left") == "FC1" and axes.get_ylabel() == "above the model [m3/h]"
+    drawn = np.asarray(axes.get_lines()[0].get_ydata(), dtype=float)
+    np.testing.assert_allclose(drawn[-1], 3600 * SIZE[1], rtol=1e-12)
 
 
 @pytest.mark.parametrize("hours", [False, True])
