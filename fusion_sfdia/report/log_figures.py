@@ -45,14 +45,11 @@ COLOUR = {  # of events by their kind
 
 
 def time_axis(found: Diagnosis) -> TimeAxis:
-    """The axis of a diagnosis: of its clock, else in minutes, of more than 5 hours in hours, of more than 5 days in days."""
-    if found.clock.start is not None:
-        zone = found.clock.zone
-        day = f"{found.clock.start + timedelta(seconds=float(found.t[0])):%Y-%m-%d}"
-        return TimeAxis(found.clock, 1.0, "", f"time{f' ({zone})' if zone else ''} from {day} on")
-    span = float(found.t[-1] - found.t[0])
-    seconds, unit = (60.0, "min") if span <= 18_000 else (3600.0, "h") if span <= 432_000 else (86_400.0, "days")
-    return TimeAxis(found.clock, seconds, unit, f"time ({unit})")
+    """The axis of a diagnosis: of its clock, else in seconds, as the sentences are and the log is."""
+    first, zone = found.clock.moment(float(found.t[0])), found.clock.zone
+    if first is None:
+        return TimeAxis(found.clock, 1.0, "s", "time (s)")
+    return TimeAxis(found.clock, 1.0, "", f"time{f' ({zone})' if zone else ''} from {first:%Y-%m-%d} on")
 
 
 def on_screen(figure: Figure, found: Diagnosis) -> dict[str, Any]:

@@ -144,7 +144,7 @@ def test_the_figure_begins_with_a_time_line_of_all_verdicts() -> None:
     assert [label.get_text() for label in line.get_yticklabels()] == ["q12", "outlet", "l1 or inflow"]
     assert [text.get_text() for text in line.texts] == ["bias", "process", "undecided"]
     starts = [bars.get_paths()[0].vertices[:, 0].min() for bars in line.collections]
-    np.testing.assert_allclose(starts, [105 / 60, 45 / 60, 10 / 60])
+    np.testing.assert_allclose(starts, [105, 45, 10])
     shown = np.asarray(size.get_lines()[0].get_ydata(), dtype=float)
     np.testing.assert_allclose(shown[8:], -0.05)  # of the nominal value
     assert np.isnan(shown[:8]).all()
@@ -162,12 +162,12 @@ def test_an_error_of_an_input_is_drawn_in_the_unit_of_the_log() -> None:
     np.testing.assert_allclose(drawn[-1], 3600 * SIZE[1], rtol=1e-12)
 
 
-@pytest.mark.parametrize("hours", [False, True])
-def test_readings_are_drawn_on_the_axis_of_the_time_line(hours: bool) -> None:
+@pytest.mark.parametrize("seconds", [False, True])
+def test_readings_are_drawn_on_the_axis_of_the_time_line(seconds: bool) -> None:
     seen = replace(BOTH, t=1000 * T, events=tuple(replace(e, start=1000 * e.start, end=1000 * e.end) for e in BOTH.events))
-    line, *rest = draw(PLANT, BIASED, seen if hours else replace(BOTH, clock=WHEN)).axes
+    line, *rest = draw(PLANT, BIASED, seen if seconds else replace(BOTH, clock=WHEN)).axes
     labels = [axes.get_xlabel() for axes in (line, *rest)]
-    assert set(labels) == {"time (h)" if hours else "time (UTC+01:00) from 2026-03-01 on"}
+    assert set(labels) == {"time (s)" if seconds else "time (UTC+01:00) from 2026-03-01 on"}
     for axes in rest:
         x = np.asarray(axes.get_lines()[0].get_xdata(), dtype=float)
         low, high = line.get_xlim()
@@ -232,12 +232,8 @@ def test_the_report_states_health_events_and_gaps(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.y, wall.decisions.reconstruction)
 
 
-def test_the_axis_of_times_follows_the_clock_or_the_span() -> None:
-    assert time_axis(BOTH).label == "time (min)" and time_axis(BOTH)(120.0) == 2.0
-    assert (
-        time_axis(replace(BOTH, t=1000 * T)).label == "time (h)"
-        and time_axis(replace(BOTH, t=10_000 * T)).label == "time (days)"
-    )
+def test_the_axis_of_times_follows_the_clock_or_is_in_seconds() -> None:
+    assert time_axis(BOTH).label == "time (s)" and time_axis(BOTH)(120.0) == 120.0
     wall = time_axis(replace(BOTH, clock=WHEN))
     assert wall.label == "time (UTC+01:00) from 2026-03-01 on"
     assert num2date(wall(65.0), tz=WHEN.start.tzinfo).isoformat() == "2026-03-01T23:59:05+01:00"  # type: ignore[union-attr]
@@ -300,10 +296,10 @@ def test_a_figure_states_how_its_lines_are_read_as_times_and_values() -> None:
 
         svg = figure_svg("f", draw_one, text="none", laid_out=lambda figure, seen=seen: plots.append(on_screen(figure, seen)))  # type: ignore[misc]
     seconds, wall = plots
-    assert (seconds["unit"], seconds["offsets"]) == ("min", [[seconds["time"][0], 0.0]])
+    assert (seconds["unit"], seconds["offsets"]) == ("s", [[seconds["time"][0], 0.0]])
     assert (wall["unit"], wall["offsets"]) == ("", [[wall["time"][0], 3600.0]])
     start = WHEN.start.timestamp()  # type: ignore[union-attr]
-    np.testing.assert_allclose((np.array(wall["time"]) - start) / 60, seconds["time"], atol=1e-5)  # days since 1970 have 1e-6 s
+    np.testing.assert_allclose(np.array(wall["time"]) - start, seconds["time"], atol=1e-5)  # days since 1970 have 1e-6 s
     upper, lower, strip = wall["panels"]
     assert (upper["lines"], lower["lines"], strip["lines"]) == (["expected", "reading"], ["difference"], [])
     assert upper["unit"] == lower["unit"] == "m3/s" and strip["rows"]["names"][0] == "q12"
