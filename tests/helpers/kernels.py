@@ -30,7 +30,7 @@ NOT_NUMERICAL = (
     "test_architecture.py", "test_blind.py", "test_diagnose.py", "test_diagnosis_document.py", "test_engine_virtual_sensors.py",
     "test_entrances.py", "test_entry_points.py", "test_events.py", "test_figure_files.py", "test_files.py",
     "test_hostile_texts.py", "test_kind_trials.py", "test_lag.py", "test_log_report.py", "test_nomenclature.py",
-    "test_notebooks.py", "test_package.py", "test_progress.py", "test_project_files.py", "test_readme.py", "test_references.py",
+    "test_notebooks.py", "test_order_of_findings.py", "test_package.py", "test_progress.py", "test_project_files.py", "test_readme.py", "test_references.py",
     "test_real_logs_scores.py",
     "test_registry.py", "test_report.py", "test_report_browser.py", "test_results_pages.py", "test_row_order.py",
     "test_sample_tables.py", "test_second_look.py", "test_site.py", "test_site_examples.py", "test_slow_sensors.py",
