@@ -40,8 +40,8 @@ def monitored_tasks(settings: Settings, seeds: int) -> list[Task]:
 
 
 def method_rows(task: Task, arrays: Arrays) -> list[Row]:
-    """False alarms as counted in d00 and in d00_te, and exact isolation of biases and drifts of the sensors that are told."""
-    by, alarm, told = task["detector"], arrays["healthy alarm"], arrays["told"]
+    """False alarms as counted in d00 and in d00_te, and exact isolation of biases and drifts where sizes suffice."""
+    by, alarm, isolable = task["detector"], arrays["healthy alarm"], arrays["isolable"]
     found = [
         row(by, "none", "all", "alarm_probability", once(arrays["held-out"][0], 1), condition="d00, held out"),
         row(by, "none", "all", "alarm_probability", once(alarm.mean(), alarm.size), condition="d00_te"),
@@ -55,7 +55,7 @@ def method_rows(task: Task, arrays: Arrays) -> list[Row]:
             of = partial(row, by, f"{kind}-{size}", condition=f"sigma of the {sigma}")
             for what in (*task["measurements"], "all"):
                 which = np.array([
-                    case.sigma == sigma and (told[s, case.position] if what == "all" else case.position == what - 1)
+                    case.sigma == sigma and (isolable[s, case.position] if what == "all" else case.position == what - 1)
                     for case in runs
                 ])  # fmt: skip
                 name = what if what == "all" else MEASUREMENTS[what - 1][0]
@@ -91,7 +91,7 @@ def monitored_summary(settings: Settings, results: Results) -> Summary:
         f"methods learn from d00 alone; each run of a fault begins {BEFORE} samples before it."
     )
     return Summary(
-        rows=rows, figures=[isolation_figure(rows, names, size)], tables=[told_table(settings, results)],
+        rows=rows, figures=[isolation_figure(rows, names, size)], tables=[smallest_bias_table(settings, results)],
         remarks=[r for r in remarks if r],
     )  # fmt: skip
 
@@ -124,15 +124,15 @@ def isolation_figure(rows: list[Row], names: list[str], size: str) -> Figure:
     )
 
 
-def told_table(settings: Settings, results: Results) -> ResultTable:
-    """The smallest bias that can be told, by measurement."""
+def smallest_bias_table(settings: Settings, results: Results) -> ResultTable:
+    """The smallest bias that can be isolated, by measurement."""
     lines = []
     for task, arrays in results[:1]:
         for number in task["measurements"]:
-            sizes = arrays["told size"][:, number - 1]
+            sizes = arrays["isolable size"][:, number - 1]
             lines.append((MEASUREMENTS[number - 1][0], *(float(v) for v in sizes)))
     return ResultTable(
-        "The smallest bias that can be told", ("measurement", *(f"sigma of the {s}" for s in SIGMAS)), tuple(lines),
+        "The smallest bias that can be isolated", ("measurement", *(f"sigma of the {s}" for s in SIGMAS)), tuple(lines),
         f"By identifiability of the identified model, in sigma; {settings['size']:g} sigma are judged where it is less. "
         "It takes every measurement as read in every sample, which the analyses (in feed, in product) are not.",
     )  # fmt: skip

@@ -33,7 +33,7 @@ def announced(detector: str | None = None) -> Iterator[None]:
 
     class CompiledModules(event.Listener):  # type: ignore[misc]
         def __init__(self) -> None:
-            self.told: set[str] = set()
+            self.announced: set[str] = set()
             self.deep = 0  # one function is compiled within another
             self.helper = helper
 
@@ -42,8 +42,8 @@ def announced(detector: str | None = None) -> Iterator[None]:
             gc.disable()
             dispatcher = event.data["dispatcher"]
             module = str(dispatcher.py_func.__module__)
-            if module not in self.told and not module.startswith("numba."):
-                self.told.add(module)
+            if module not in self.announced and not module.startswith("numba."):
+                self.announced.add(module)
                 print(f"fusion-sfdia: compiling, once: {module.removeprefix(OWN)}", file=sys.stderr, flush=True)
             if detector and not self.helper and dispatcher.stats.cache_path and cores() > 1:
                 self.helper = started(detector)

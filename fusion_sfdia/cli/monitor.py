@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from textwrap import indent
@@ -123,7 +124,9 @@ def monitored(chosen: argparse.Namespace, out: Path, learnt: Any, say: Any) -> i
             write_diagnosis(new, found.plant, found.log.y, found.log.u, found, about, of_log, suffix)
             with atomic_write(new / OWN_FILE) as file:
                 file.write(plain(f"{monitor}\n\n{found}\n"))
-    say(f"{as_text(of_log.diagnosis(found), about.detector)}\n{', '.join((OWN_FILE, *files(suffix)))}: in {out}")
+    known = str(monitor).splitlines()  # was said when it was learnt, and is in monitor.txt
+    news = replace(of_log.diagnosis(found), of_log=tuple(line for line in found.of_log if line not in known))
+    say(f"{as_text(news, about.detector)}\n{', '.join((OWN_FILE, *files(suffix)))}: in {out}")
     if chosen.json:
         print(as_json(found, of_log, data, about))
     return exit_code(chosen, found, data)

@@ -26,6 +26,7 @@ from fusion_sfdia.common.numerals import decimal, integer
 
 if TYPE_CHECKING:
     from fusion_sfdia.live.left_out_lines import Remarks
+    from fusion_sfdia.live.page import LivePage
     from fusion_sfdia.live.saving import SavedWatch
     from fusion_sfdia.live.status import Status
     from fusion_sfdia.live.webhook import Webhook
@@ -102,9 +103,7 @@ def add_watch(commands: Any) -> None:
     one.add_argument(
         "--page", type=integer, metavar="PORT", help="show state, findings and figures to a browser on this machine"
     )
-    one.add_argument(
-        "--page-hours", type=decimal, default=4.0, metavar="H", help="hours that the page goes back, of the rows (default: 4)"
-    )
+    one.add_argument("--page-hours", type=decimal, metavar="H", help="hours that --page goes back, of the rows (default: 4)")
     add_columns(one, "where they are missing")
     one.set_defaults(work=_watch)
 
@@ -117,6 +116,7 @@ def _watch(chosen: argparse.Namespace) -> int:
     refused = Remarks(_say)
     if chosen.state is not None and not chosen.state.absolute().parent.is_dir():
         raise ValueError(f"--state {chosen.state}: there is no folder {chosen.state.parent}; make it, or name another file")
+    _require_page(chosen)
     with (
         _webhook(chosen, refused) as webhook,  # the outermost: at its end it takes some seconds for what is not yet posted
         ended_in_time(chosen.interruption),
@@ -199,14 +199,14 @@ def _watched(chosen: argparse.Namespace, webhook: Webhook | None, refused: Remar
             _alarms(chosen, saved),
             beating(chosen.status_every, beat),
             nullcontext() if at is None else served("metrics", *at, metrics_at(status)),
-            _page(chosen, saved, status),
+            _page(chosen, saved, status) as page,
         ):
             if chosen.opcua:
                 _server(chosen, saved)
             elif chosen.mqtt:
                 _broker(chosen, saved)
             else:
-                _text(chosen, saved, log_map)
+                _text(chosen, saved, log_map, page)
     finally:
         chosen.interruption.acknowledge()
         saved.save()
@@ -221,26 +221,37 @@ def _alarms(chosen: argparse.Namespace, saved: SavedWatch) -> AbstractContextMan
     return nullcontext() if chosen.alarms is None else alarms_served(chosen.alarms, saved)
 
 
+def _require_page(chosen: argparse.Namespace) -> None:
+    """ValueError for what --page and --page-hours cannot be."""
+    if chosen.page is not None and not 0 <= chosen.page <= 65535:
+        raise ValueError(f"--page is {chosen.page}; expected a port, such as 8080")
+    hours = chosen.page_hours
+    if hours is not None and not 0 < hours < float("inf"):
+        raise ValueError(f"--page-hours is {hours:g}; expected a positive number of hours, such as 4")
+    if hours is not None and chosen.page is None:
+        raise ValueError(
+            "--page-hours needs --page, the page that goes back so far; add --page 8080, or leave --page-hours out"
+        )
+
+
 @contextmanager
-def _page(chosen: argparse.Namespace, saved: SavedWatch, status: Status) -> Iterator[None]:
+def _page(chosen: argparse.Namespace, saved: SavedWatch, status: Status) -> Iterator[LivePage | None]:
     """Within the block, the page of --page is there."""
     if chosen.page is None:
-        yield
+        yield None
         return
-    from fusion_sfdia.live.page import LivePage
+    from fusion_sfdia.live.page import HOURS, LivePage
     from fusion_sfdia.live.status import served
 
-    if not 0 <= chosen.page <= 65535:
-        raise ValueError(f"--page is {chosen.page}; expected a port, such as 8080")
-    page = LivePage(saved.watch, status, chosen.page_hours)
+    page = LivePage(saved.watch, status, chosen.page_hours or HOURS)
     saved.takers.append(page.taken)
     saved.outlets.append(lambda change, line: page.changed(change))
     with served("page", "127.0.0.1", chosen.page, page.answer) as port:
         _say(f"page: http://127.0.0.1:{port}/")
-        yield
+        yield page
 
 
-def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap) -> None:
+def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap, page: LivePage | None) -> None:
     from fusion_sfdia.live.text_rows import TextRows, lines
 
     watch = saved.watch
@@ -258,6 +269,8 @@ def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap) -> Non
                 raise
             saved.watch.refused(f"line {number}: {error}; it is not taken")
             continue
+        if page is not None and not page.shown_in.tags and rows.reader is not None:
+            page.show_in(rows.reader.sources.columns)
         if row is not None:
             watch.unread.update(rows.absent)
             saved.update(*row)

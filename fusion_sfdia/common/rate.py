@@ -65,8 +65,9 @@ class Rate:
 
 
 def lasting(seconds: float) -> str:
-    """A duration in words: "45 s", "3.0 hours", "2.1 days"."""
+    """A duration in words: "45 s", "64 minutes", "3.0 hours", "2.1 days"."""
     for name in ("day", "hour", "minute"):
         if seconds >= 2 * PERIODS[name]:
-            return f"{seconds / PERIODS[name]:.1f} {name}s"
+            count = seconds / PERIODS[name]
+            return f"{count:.{int(count < 10)}f} {name}s"
     return f"{seconds:.3g} s"

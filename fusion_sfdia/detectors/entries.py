@@ -48,7 +48,7 @@ def deferred(thing: Any) -> Any:
     return partial(call, thing, "") if isinstance(thing, str) else thing
 
 
-def itself(thing: Any) -> Any:
+def identity(thing: Any) -> Any:
     """Return the argument: partial(itself, plant) makes that plant."""
     return thing
 

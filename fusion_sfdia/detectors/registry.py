@@ -29,7 +29,7 @@ from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, overload
 
 from fusion_sfdia.common.references import did_you_mean, first_line, is_reference, load, name_of, require_call, source_of
-from fusion_sfdia.detectors.entries import deferred, enter, itself, package_of, register_entry_point
+from fusion_sfdia.detectors.entries import deferred, enter, identity, package_of, register_entry_point
 
 if TYPE_CHECKING:
     from fusion_sfdia.detectors.detector import Detector
@@ -272,7 +272,7 @@ def find_plant(what: str | Plant | Callable[[], Plant] | NamedPlant) -> NamedPla
     if isinstance(found, NamedPlant):
         return found
     if isinstance(found, Plant):
-        return NamedPlant(what if isinstance(what, str) else found.name, "", partial(itself, found))
+        return NamedPlant(what if isinstance(what, str) else found.name, "", partial(identity, found))
     require_call(f"plant {name_of(what)}", found, "a Plant, or a function without arguments that returns one", 0)
     registered = (entry for entry in _PLANTS.values() if entry.make is found)
     return next(registered, NamedPlant(name_of(what), first_line(found), found, source=source_of(found)))

@@ -96,16 +96,16 @@ def conclusion_of(decision: Decision, y: Array, tested: Sequence[ProcessHypothes
         return Conclusion(Verdict.UNDECIDED, ALL_FAR)
     if np.any(decision.capped):
         return Conclusion(Verdict.UNDECIDED, TOO_MANY)
+    if decision.isolated[: y.size].any():
+        return Conclusion(Verdict.SENSOR)
     if decision.process is not None and decision.process.any():
         accepted = [h for h, holds in zip(tested, decision.process, strict=True) if holds] if tested else []
         if not accepted or any(h.kind != "outside" for h in accepted):
             return Conclusion(Verdict.PROCESS)
-        if not decision.isolated.any():
+        if not decision.isolated[y.size :].any():
             return Conclusion(Verdict.OUTSIDE, ", ".join(h.name for h in accepted))
     if decision.isolated[y.size :].any():
         return Conclusion(Verdict.PROCESS)
-    if decision.isolated.any():
-        return Conclusion(Verdict.SENSOR)
     if decision.suspect is not None and decision.suspect.any():
         return Conclusion(Verdict.UNDECIDED, "several hypotheses explain an alarm")
     if np.any(decision.absurd_input):

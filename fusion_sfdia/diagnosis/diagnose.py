@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from importlib import import_module
 from typing import Any
 
@@ -19,7 +20,6 @@ from fusion_sfdia.detectors.detector import Decision, Detector, ProcessHypothesi
 from fusion_sfdia.detectors.verdicts import ALL_FAR, NO_THRESHOLDS, TOO_MANY, Conclusion, Verdict, far_off, judged, undecidable
 from fusion_sfdia.diagnosis.absent import beyond_resolution, repeats
 from fusion_sfdia.diagnosis.events import (
-    EVEN,
     LASTING,
     NO_FAULT,
     Event,
@@ -35,7 +35,7 @@ from fusion_sfdia.diagnosis.hindsight import hindsight, left_out
 from fusion_sfdia.diagnosis.hindsight_steps import Residuals
 from fusion_sfdia.diagnosis.model_health import Health, health_of
 from fusion_sfdia.diagnosis.sensor_events import alarm_rate_of, explained
-from fusion_sfdia.diagnosis.sentences import Wording, by_importance, counted, sentence, wordings
+from fusion_sfdia.diagnosis.sentences import Wording, by_importance, counted, kind_of, sentence, wordings
 from fusion_sfdia.plant.gaps import Gap, Track, bridged
 from fusion_sfdia.plant.log import Log, one_run
 from fusion_sfdia.plant.model_errors import RAISED, failed
@@ -110,28 +110,24 @@ class Diagnosis:
 
     @property
     def state(self) -> Verdict:
-        """The verdict on the whole log in one word, for programs; a log that was not judged is blind, never healthy."""
+        """The verdict on the whole log in one word, for programs: that of the first of `findings`, unless most of the log was
+        not judged, or all readings are far from the model; a log that was not judged is blind, never healthy.
+        """
         return self._conclusion.verdict
 
     @property
     def _conclusion(self) -> Conclusion:
         """The same with the reason where nothing is named."""
-        d, t = self.decisions, self.t
-        likely = {e.kind for e in self.events if not e.confidence < EVEN}
+        d, t, standing = self.decisions, self.t, self.standing
         unsupported = far_off(d) | d.capped
         seen, named = judged(d), np.any(d.isolated, axis=-1)
         if not np.any(seen) and not np.any(d.diverged):
             return Conclusion(Verdict.BLIND, "no reading could be compared with the model")
         if np.sum(unsupported) > max(np.sum(named) / 2, LASTING - 1):
             return Conclusion(Verdict.UNDECIDED, ALL_FAR if np.all(far_off(d)[unsupported]) else TOO_MANY)
-        if likely & {"process", "other"}:
-            return Conclusion(Verdict.PROCESS)
-        if "sensor" in likely:
-            return Conclusion(Verdict.SENSOR)
-        if "outside" in likely:
-            return Conclusion(Verdict.OUTSIDE, "no healthy log has such readings")
-        if open_questions(self.events, t) or any(e.confidence < EVEN for e in self.events):
-            return Conclusion(Verdict.UNDECIDED)
+        if standing:
+            first = kind_of(standing[0]).verdict
+            return Conclusion(first, "no healthy log has such readings" if first is Verdict.OUTSIDE else "")
         if np.any(d.diverged):
             when = self.clock.at(float(t[np.argmax(d.diverged)]))
             return Conclusion(Verdict.BLIND, f"the estimate diverged, or the model gave no finite value, at {when}")
@@ -148,7 +144,7 @@ class Diagnosis:
 
     @property
     def verdict(self) -> str:
-        """What the events say together: "process or model: ...", "cannot tell: ... or ...", "sensor ...", "perhaps ...", or
+        """What the events say together: "sensor ...", "process or model: ...", "cannot tell: ... or ...", "perhaps ...", or
         "no fault"; without events, "no verdict: ..." or "cannot tell: ..." with the reason where nothing could be concluded.
         """
         found, concluded = verdict(self.events, self.t), self._conclusion
@@ -167,8 +163,7 @@ class Diagnosis:
         """What was found, in a few words for people: "1 faulty sensor, 1 change of the process"; without findings "no fault",
         or why there is no verdict.
         """
-        passing = set(map(id, self.passing))
-        if not (found := counted([e for e in self.events if id(e) not in passing])):
+        if not (found := counted(self.standing)):
             return self.verdict
         concluded = self._conclusion
         parts = [found, concluded.text if concluded.verdict is Verdict.BLIND or concluded.reason else ""]
@@ -181,6 +176,12 @@ class Diagnosis:
         return by_importance(self.events, self.passing)
 
     @property
+    def standing(self) -> list[Event]:
+        """The findings without what is `passing`: those that decide."""
+        passing = set(map(id, self.passing))
+        return by_importance([e for e in self.events if id(e) not in passing])
+
+    @cached_property
     def passing(self) -> list[Event]:
         """The alarms that were decided, or ended, before they said anything: no part of the verdict."""
         stand = set(map(id, open_questions(self.events, self.t)))
@@ -212,7 +213,7 @@ class Diagnosis:
         """What a model that may not fit means for the findings, in a sentence; "" where it fits."""
         if self.health is None:
             return ""
-        if self.health.suspect and self.state is Verdict.PROCESS:
+        if self.health.suspect and any(kind_of(e).verdict is Verdict.PROCESS for e in self.events):
             return "If the plant is in order there, the model is not: tune it to a log without a fault."
         if self.health.suspect:
             return (
@@ -241,14 +242,14 @@ class Diagnosis:
         return lines if more < 1 else [*lines, f"and {more} more gaps"]
 
     def __str__(self) -> str:
-        return "\n".join([self.verdict, *(f"  {event.told(self.clock)}" for event in self.events)])
+        return "\n".join([self.verdict, *(f"  {event.summary(self.clock)}" for event in self.findings)])
 
     def __repr__(self) -> str:
         count = len(self.events)
         return f"<{type(self).__name__} of {len(self.t)} readings, {count} event{'s' * (count != 1)}: {self.verdict}>"
 
     def _repr_html_(self) -> str:
-        rows = [(e.hypothesis, self.clock.at(e.start), self.clock.at(e.end), e.told(self.clock)) for e in self.events]
+        rows = [(e.hypothesis, self.clock.at(e.start), self.clock.at(e.end), e.summary(self.clock)) for e in self.findings]
         return as_html(self.verdict, self.health.line if self.health else "", ("what", "from", "to", "in words"), rows)
 
     def frame(self) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
@@ -78,9 +79,9 @@ class Event:
     fault_alternatives: tuple[str, ...] = field(default=(), kw_only=True)
 
     def __str__(self) -> str:
-        return self.told(Clock())
+        return self.summary(Clock())
 
-    def told(self, clock: Clock) -> str:
+    def summary(self, clock: Clock) -> str:
         """The event in words, with the times of a clock.
 
         Parameters
@@ -97,6 +98,24 @@ class Event:
         doubts = [f"confidence {self.confidence:.2f}"] if self.confidence < CERTAIN else []
         doubts += [f"not excluded: {listed(self.alternatives)}"] if self.alternatives else []
         return "; ".join([f"{self.hypothesis}: {clock.at(self.start)} to {end}, {self.extent}", *doubts])
+
+    def told(self, clock: Clock) -> str:
+        """The former name of `summary`.
+
+        Parameters
+        ----------
+        clock : Clock
+            As of `summary`.
+
+        Returns
+        -------
+        str
+            As of `summary`.
+        """
+        warnings.warn(
+            "Event.told is now Event.summary; the former name will be removed in the next release", DeprecationWarning, 2
+        )
+        return self.summary(clock)
 
     def fields(self, clock: Clock) -> dict[str, Any]:
         """For programs: its kind, its fields by name, and its times by ISO 8601, None where the clock has no start.
@@ -185,7 +204,7 @@ class ProcessEvent(Event):
     sd: float
     nominal: float
 
-    def told(self, clock: Clock) -> str:
+    def summary(self, clock: Clock) -> str:
         """The event in words, with the times of a clock.
 
         Parameters
@@ -215,7 +234,7 @@ class UnnamedEvent(Event):
 
     kind: ClassVar[str] = "process"
 
-    def told(self, clock: Clock) -> str:
+    def summary(self, clock: Clock) -> str:
         """The event in words, with the times of a clock."""
         return f"process {self.when(clock)}: no single sensor and no single unknown of the model explains the readings"
 
@@ -226,7 +245,7 @@ class OperationEvent(Event):
 
     kind: ClassVar[str] = "outside"
 
-    def told(self, clock: Clock) -> str:
+    def summary(self, clock: Clock) -> str:
         """The event in words, with the times of a clock."""
         return f"{self.hypothesis} {self.when(clock)}: what looks wrong may be right there"
 
@@ -256,7 +275,7 @@ class UndecidedEvent(Event):
     kind: ClassVar[str] = "undecided"
     suspects: tuple[str, ...]
 
-    def told(self, clock: Clock) -> str:
+    def summary(self, clock: Clock) -> str:
         """The event in words, with the times of a clock.
 
         Parameters
@@ -325,18 +344,20 @@ def _when(t: Array, a: int, b: int) -> tuple[float, float]:
 
 
 def verdict(events: Sequence[Event], t: Array) -> str:
-    """What the events of readings at times t (K,) say together: process or model, what cannot be told, sensors, or no fault."""
+    """What the events of readings at times t (K,) say together, in the order of findings: sensors, process or model, what is
+    undecided, or no fault.
+    """
     parts = []
+    likely = [e for e in events if not e.confidence < EVEN]
+    for kind, word in (("sensor", "sensor"), ("other", "fault")):
+        if named := [e.hypothesis for e in likely if e.kind == kind]:
+            parts.append(f"{word}{'s' * (len(set(named)) > 1)} {listed(named)}")
     if process := [e.hypothesis for e in events if e.kind == "process"]:
         parts.append(f"process or model: {listed(process)}")
     if outside := [e.hypothesis for e in events if e.kind == "outside"]:
         parts.append(f"outside what was learnt: {listed(outside)}")
     for suspects in dict.fromkeys(e.suspects for e in open_questions(events, t)):
         parts.append(unsure(suspects))
-    likely = [e for e in events if not e.confidence < EVEN]
-    for kind, word in (("sensor", "sensor"), ("other", "fault")):
-        if named := [e.hypothesis for e in likely if e.kind == kind]:
-            parts.append(f"{word}{'s' * (len(set(named)) > 1)} {listed(named)}")
     known = {e.hypothesis for e in likely}
     if others := [e.hypothesis for e in events if e.confidence < EVEN and e.hypothesis not in known]:
         parts.append(f"perhaps {listed(others)}")

@@ -44,7 +44,7 @@ class Lag(NamedTuple):
     sensor: int
     rows: int
 
-    def told(self, plant: Plant, log: Log) -> str:
+    def summary(self, plant: Plant, log: Log) -> str:
         """In words: "level_1 is late by 4 rows (240 s)"."""
         rows, step = self.rows, self.rows * float(np.median(np.diff(log.t)))
         return f"{plant.sensor_names[self.sensor]} is late by {rows} row{'s' * (rows != 1)} ({step:.6g} s)"
@@ -68,8 +68,8 @@ def explained_by_lag(
         if _flagged(result) >= _flagged(found):
             break
         texts.append(
-            f"{Lag(i, rows).told(detector.plant, log)}: its readings were shifted back by that much; correct the time stamps, "
-            "or add the delay to the model"
+            f"{Lag(i, rows).summary(detector.plant, log)}: its readings were shifted back by that much; correct the time "
+            "stamps, or add the delay to the model"
         )
         log, found = moved, replace(result, of_log=(*result.of_log, *texts))
     return found, log

@@ -38,11 +38,11 @@ def look_arrays(look: SecondLook) -> dict[str, Array]:
     found["between"] = np.array(steps or np.empty((0, 2)), float)
     found["named"] = np.array([(e.id, e.start, e.end, e.final) for e in look.named], float).reshape(-1, 4)
     found["hypotheses"] = np.array([e.hypothesis for e in look.named], str)
-    told = [e.told for e in look.named]
-    found["told"] = np.array([(np.nan,) * 4 if e is None else (e.start, e.end, e.size, e.open) for e in told], float).reshape(
-        -1, 4
-    )
-    found["faults"] = np.array(["" if e is None else e.fault for e in told], str)
+    reported = [e.reported for e in look.named]
+    found["reported"] = np.array(
+        [(np.nan,) * 4 if e is None else (e.start, e.end, e.size, e.open) for e in reported], float
+    ).reshape(-1, 4)
+    found["faults"] = np.array(["" if e is None else e.fault for e in reported], str)
     return found
 
 
@@ -91,13 +91,13 @@ def restored_look(fresh: SecondLook, saved: SavedArrays, decisions: Sequence[Dec
 def _restored_events(detector: Detector, saved: SavedArrays) -> list[NamedEvent]:
     named = saved.take("named", "f", None, 4)
     names = saved.take("hypotheses", "U", len(named)).tolist()
-    told = saved.take("told", "f", len(named), 4).tolist()
+    reported = saved.take("reported", "f", len(named), 4).tolist()
     faults = saved.take("faults", "U", len(named)).tolist()
     if unknown := set(names) - set(detector.plant.sensor_names):
         raise ValueError(f"'hypotheses' has {unknown}, which are no sensors")
     found = []
     for k, (number, final) in enumerate(whole_numbers("named", named[:, [0, 3]])):
-        start, end, size, is_open = told[k]
+        start, end, size, is_open = reported[k]
         event = None if np.isnan(start) else Event(names[k], start, end, size, "", bool(is_open), fault=faults[k])
         found.append(NamedEvent(number, names[k], float(named[k, 1]), float(named[k, 2]), event, bool(final)))
     return found

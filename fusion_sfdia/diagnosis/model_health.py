@@ -104,24 +104,24 @@ class Health(NamedTuple):
     def line(self) -> str:
         """One line for people."""
         numbers = f"NIS {self.nis:.3g} over {self.samples} samples (expected 1, suspect above {self.limit:.2g})"
-        told = [*self.remarks, *([numbers] if self.tested else [])]
+        parts = [*self.remarks, *([numbers] if self.tested else [])]
         if self.excess:
-            few = _few([f"{name} ({value:.2g} times)" for name, value in self.excess.items()])
-            told.append(f"{len(self.excess)} of {self.sensors} sensors vary more or slower than stated: {few}")
+            few = _few([f"{name} ({float(f'{value:.2g}'):g} times)" for name, value in self.excess.items()])
+            parts.append(f"{len(self.excess)} of {self.sensors} sensors vary more or slower than stated: {few}")
         if self.shifts:
             few = _few([f"{name} (by {value:+.2g} standard deviations)" for name, value in self.shifts.items()])
-            told.append(f"{len(self.shifts)} of {self.sensors} sensors read off for a part of the log: {few}")
+            parts.append(f"{len(self.shifts)} of {self.sensors} sensors read off for a part of the log: {few}")
         if self.suspect:
-            return f"model suspect: {'; '.join(told)}"
+            return f"model suspect: {'; '.join(parts)}"
         if not self.tested:
             return f"model not tested: {self.samples} healthy samples are too few"
         if self.cautious:
-            return f"model cautious: {'; '.join(told)}; the noise is overstated, small faults are missed"
+            return f"model cautious: {'; '.join(parts)}; the noise is overstated, small faults are missed"
         if self.untested:
-            told.append(f"not tested: {_few(self.untested)}")
+            parts.append(f"not tested: {_few(self.untested)}")
         if np.isfinite(self.visible.spread):
-            told.append(str(self.visible))
-        return f"model fits{', with reservations' if self.excess or self.shifts else ''}: {'; '.join(told)}"
+            parts.append(str(self.visible))
+        return f"model fits{', with reservations' if self.excess or self.shifts else ''}: {'; '.join(parts)}"
 
 
 def _few(names: Sequence[str]) -> str:

@@ -25,7 +25,7 @@ def quality_flags(plant: Plant, y: Array, found: Diagnosis) -> NDArray[np.int8]:
     """The flag of each reading y (K, N), NaN where missing, by its diagnosis.
 
     FAIL: impossible, isolated, or within an event of its sensor. SUSPECT: above its threshold, one of several suspects, within
-    an event that is rather another one's (confidence below `EVEN`), or in a row of which nothing can be told, as all readings
+    an event that is rather another one's (confidence below `EVEN`), or in a row that allows no conclusion, as all readings
     are far from the model or more disagree with it than can be isolated. NOT_EVALUATED: without a residual or a threshold.
     """
     d, names = found.decisions, plant.sensor_names

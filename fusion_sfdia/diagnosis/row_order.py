@@ -84,7 +84,7 @@ class InOrder:
         due = bisect_right(self.held, self.held[-1].t - self.reorder, key=_time)
         return self._returned(max(due, len(self.held) - MOST_HELD), last)
 
-    def rest(self, last: float | None, clock: Clock) -> list[tuple[WatchRow, float]]:
+    def remaining(self, last: float | None, clock: Clock) -> list[tuple[WatchRow, float]]:
         """The rows that are held, at the end of the input; of those that wait, a single one ahead of others is lost."""
         self._count_duplicates()
         if len(self.waiting) == 1 and (self.held or last is not None):

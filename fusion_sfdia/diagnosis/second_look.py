@@ -59,7 +59,7 @@ class NamedEvent:
     hypothesis: str
     start: float
     end: float
-    told: Event | None = None
+    reported: Event | None = None
     final: bool = False
 
 
@@ -100,8 +100,8 @@ class SecondLook:
     def happened(self, closed: Sequence[int] = ()) -> None:
         """An event has opened or closed; those with the ids `closed`, with the end of their isolation, are named again."""
         for e in self.named:
-            if e.id in closed and e.told is not None and not e.told.open:
-                e.told = None
+            if e.id in closed and e.reported is not None and not e.reported.open:
+                e.reported = None
         self.due, self.pause = min(self.due or self.count + EACH, self.count + EACH), EACH
 
     def _freeze(self) -> None:
@@ -187,7 +187,7 @@ class SecondLook:
 
     def open_events(self) -> list[tuple[int, Event]]:
         """Id and event of what was reported last as not over."""
-        return [(e.id, e.told) for e in self.named if e.told is not None and e.told.open]
+        return [(e.id, e.reported) for e in self.named if e.reported is not None and e.reported.open]
 
     def _is_silent_or_frozen(self) -> bool:
         """Whether a sensor is, of which nothing was reported."""
@@ -226,7 +226,7 @@ class SecondLook:
             self._say(finding.kind, finding.name, finding.text)
         if whole and events and not any(about.startswith("late") for about in self.said):
             if late := latest(self.detector, log, Diagnosis(tuple(events), decisions, log.t, after=after.residuals)):
-                self._say("late", plant.sensor_names[late.sensor], f"{late.told(plant, log)}: {UNEXPLAINED}")
+                self._say("late", plant.sensor_names[late.sensor], f"{late.summary(plant, log)}: {UNEXPLAINED}")
         starts = np.flatnonzero(np.isfinite([s.begins for s in rows]))
         remarks = against_the_model(events, decisions, log.t, clock)
         return events, health_of(plant, after, starts, alarm_rate_of(self.detector), remarks)
@@ -254,11 +254,15 @@ class SecondLook:
             known = own[0]
             for other in own[1:]:  # those that are one with the first
                 self.named.remove(other)
-                found += [(other.id, replace(other.told, open=False))] if other.told is not None and other.told.open else []
+                found += (
+                    [(other.id, replace(other.reported, open=False))]
+                    if other.reported is not None and other.reported.open
+                    else []
+                )
             known.start = event.start if event.start > times[0] else min(known.start, event.start)
             known.end, event = self._trusted(event), replace(event, start=known.start)
-            if known.told is None or _differs(known.told, event):
-                known.told = event
+            if known.reported is None or _differs(known.reported, event):
+                known.reported = event
                 found.append((known.id, event))
             known.final = known.end < settled
         gone = {e.id for e in self.named if e.end < times[0]}

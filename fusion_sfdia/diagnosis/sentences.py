@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors.detector import Detector, ProcessHypothesis
+from fusion_sfdia.detectors.verdicts import Verdict
 from fusion_sfdia.diagnosis.events import (
     CERTAIN,
     EVEN,
@@ -29,35 +30,32 @@ LEAST = 0.05  # of a sensor's sigma: a smaller size is none
 
 
 class Kind(NamedTuple):
-    """A kind of events for people. rank: its place among findings, from 0; word: on a page and beside an axis; one, many: when
-    they are counted.
+    """A kind of events for people. rank: its place among findings, from 0; verdict: of a log whose first finding it is; word:
+    on a page and beside an axis; one, many: when they are counted.
     """
 
     rank: int
+    verdict: Verdict
     word: str
     one: str
     many: str
 
 
 KINDS = {
-    "sensor": Kind(0, "sensor", "faulty sensor", "faulty sensors"),
-    "other": Kind(0, "other fault", "other fault", "other faults"),
-    "process": Kind(1, "process", "process change", "process changes"),
-    "outside": Kind(2, "not learnt", "kind of unknown operating condition", "kinds of unknown operating condition"),
-    "undecided": Kind(3, "undecided", "unresolved alarm", "unresolved alarms"),
-    "possible": Kind(4, "possible", "possible fault", "possible faults"),  # any with a confidence below `EVEN`
+    "sensor": Kind(0, Verdict.SENSOR, "sensor", "faulty sensor", "faulty sensors"),
+    "other": Kind(1, Verdict.PROCESS, "other fault", "other fault", "other faults"),
+    "process": Kind(2, Verdict.PROCESS, "process", "process change", "process changes"),
+    "outside": Kind(3, Verdict.OUTSIDE, "not learnt", "unknown operating condition", "unknown operating conditions"),
+    "undecided": Kind(4, Verdict.UNDECIDED, "undecided", "unresolved alarm", "unresolved alarms"),
+    # any with a confidence below `EVEN`
+    "possible": Kind(5, Verdict.UNDECIDED, "possible", "possible fault", "possible faults"),
 }
 
-AGREES, PERSISTS = "it agrees with the model again", "the error persists"
+AGREES, PERSISTS = "it reads as expected again", "the error persists"
 # kind of a sensor's fault: what it did, what it has done until now, and how that is said to be over or not
 FAULTS = {
     "bias": ("read {size}", "has read {size}", AGREES, PERSISTS),
-    "drift": (
-        "drifted until it read {size}",
-        "has drifted until it read {size}",
-        "it agrees with the model again",
-        "the error persists",
-    ),
+    "drift": ("drifted until it read {size}", "has drifted until it read {size}", AGREES, PERSISTS),
     "freeze": ("was stuck at one value", "has been stuck at one value", "its reading changes again", "it is still stuck"),
     "noise": ("was noisy{by}", "has been noisy{by}", "it is quiet again", "it is still noisy"),
     "spikes": ("had spikes{of}", "has had spikes{of}", "they have stopped", "they continue"),
@@ -134,7 +132,7 @@ def kind_of(e: Event) -> Kind:
 
 def sentence(e: Event, words: Words, clock: Clock, *, ended: bool = True) -> str:
     """An event in a sentence, and one on what to do: "Mixed-air temperature TT04 read 1.5 K (1.3 to 1.7) too high from
-    2026-03-01 02:07 to 03:59; it agrees with the model again. Check the sensor's wiring or calibration."
+    2026-03-01 02:07 to 03:59; it reads as expected again. Check the sensor's wiring or calibration."
 
     ended: whether an event that is closed has been seen to end, rather than the rows or the detector. An impossible size,
     beyond the limits that the plant states, or one that rounds to none, is left out.
@@ -156,7 +154,7 @@ def sentence(e: Event, words: Words, clock: Clock, *, ended: bool = True) -> str
             "right. Check whether it was intended; if so, learn from it."
         )
     if e.kind != "sensor" or isinstance(e, OtherEvent):
-        return f"{_first(e.told(clock))}."
+        return f"{_first(e.summary(clock))}."
     return _sensor(e, words.get(e.hypothesis) or Wording("sensor", e.hypothesis), words, when, ended)
 
 

@@ -33,7 +33,7 @@ class SlowSensors:
         self.last, self.age, self.seen = np.full(count, np.nan), np.zeros(count, int), np.zeros(count, int)
         self.lengths, self.changes = np.zeros((count, KEPT), int), np.zeros((count, KEPT))
         self.longest = np.full(count, UNDECIDED)  # repeats have a lower age
-        self.told = np.zeros(count, bool)
+        self.announced = np.zeros(count, bool)
 
     def take(self, y: Array) -> Array:
         """The readings (N,) with NaN for repeats; the same array where none is."""
@@ -64,8 +64,8 @@ class SlowSensors:
             return
         found = of_lengths(lengths)
         self.longest[i] = found.longest
-        if not self.told[i]:
-            self.told[i] = True
+        if not self.announced[i]:
+            self.announced[i] = True
             self.say(f"{self.names[i]} repeats its value, new every {found.usual} rows: {CURE}")
 
     def arrays(self) -> dict[str, Array]:
@@ -81,4 +81,4 @@ class SlowSensors:
             setattr(self, name, arrays[name].copy())
 
 
-ARRAYS = ("last", "age", "seen", "lengths", "changes", "longest", "told")
+ARRAYS = ("last", "age", "seen", "lengths", "changes", "longest", "announced")

@@ -41,7 +41,7 @@ from fusion_sfdia.plant.model_errors import RAISED, ModelError, described, requi
 
 Array = NDArray[Any]
 
-VERSION = 4  # of the file in which a watch is saved
+VERSION = 5  # of the file in which a watch is saved
 ANEW = "name another file, or remove it to begin anew"
 OF_INPUTS = ("u", "given", "known_at")
 
@@ -293,7 +293,7 @@ class Watch:
         tuple of Sample
             The rows diagnosed.
         """
-        return self._in_turn(self.order.rest(self.t, self.clock))
+        return self._in_turn(self.order.remaining(self.t, self.clock))
 
     def take(self, t: float | datetime, y: Any, u: Any = ()) -> tuple[Sample, ...]:
         """The former name of `update`.

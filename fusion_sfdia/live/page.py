@@ -6,7 +6,7 @@ import json
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -21,11 +21,13 @@ from fusion_sfdia.detectors.verdicts import Conclusion, Verdict
 from fusion_sfdia.diagnosis.changes import Change
 from fusion_sfdia.diagnosis.device_health import DeviceHealth
 from fusion_sfdia.diagnosis.diagnose import Diagnosis
-from fusion_sfdia.diagnosis.events import Event
-from fusion_sfdia.diagnosis.sentences import sentence, wordings
+from fusion_sfdia.diagnosis.events import Event, listed
+from fusion_sfdia.diagnosis.sentences import by_importance, sentence, wordings
 from fusion_sfdia.diagnosis.watch import Sample, Watch
 from fusion_sfdia.live.status import Answer, Status
+from fusion_sfdia.logs.columns import Source
 from fusion_sfdia.report.log_page import finding_texts, findings_of, line_drawn, overview_drawn
+from fusion_sfdia.report.log_units import LogUnits
 from fusion_sfdia.report.page import page_environment, part
 
 HOURS = 4.0
@@ -69,10 +71,15 @@ class LivePage:
             raise ValueError(f"the page goes back {hours} hours; expected a positive number")
         self.watch, self.status, self.now = watch, status, now
         self.plant, self.words, self.environment = watch.detector.plant, wordings(watch.detector), page_environment()
+        self.shown_in = LogUnits(self.plant, ())
         self.rows: deque[Kept] = deque(maxlen=MOST_ROWS)
         self.events = dict(watch.findings.changes.open_events())
         self.lock = threading.Condition()
         self.drawing, self.drawn, self.fresh_until = False, {"findings": "", "figures": ""}, -np.inf
+
+    def show_in(self, columns: Sequence[Source]) -> None:
+        """From now on show tags and units of the columns from which the rows come, in place of the plant's."""
+        self.shown_in = LogUnits(self.plant, columns)
 
     def taken(self, samples: tuple[Sample, ...]) -> None:
         """Rows that were diagnosed."""
@@ -131,9 +138,8 @@ class LivePage:
     def _state(self) -> str:
         """The lamp, and the states of the sensors."""
         report = self.status.report()
-        health = report.device_health
-        worst = next((state for state in STATES if state in health.values()), DeviceHealth.NORMAL)
-        lamp = _lamp(report.conclusion, worst)
+        health = {self.shown_in.tags.get(name, name): state for name, state in report.device_health.items()}
+        lamp = _lamp(report.conclusion, health)
         sensors = [(name, state.name, *STATES[state]) for state in STATES for name, own in health.items() if own is state]
         return self._rendered("state", report=report, lamp=lamp, sensors=[s for s in sensors if s[1] != "NORMAL"])
 
@@ -141,26 +147,21 @@ class LivePage:
         """Findings and figures of rows."""
         if not rows:
             stands = [
-                finding_texts(e, self.words, [sentence(e, self.words, self.watch.clock)]) | {"figure": None}
-                for e in events
-                if e.open
+                finding_texts(e, self.words, [sentence(e, self.words, self.watch.clock)]) | {"number": k + 1, "figure": None}
+                for k, e in enumerate(by_importance([e for e in events if e.open]))
             ]
-            return {"findings": self._rendered("findings", findings=stands), "figures": ""}
+            return {"findings": self._rendered("findings", acting=stands, over=[]), "figures": ""}
         t, y = np.array([row.t for row in rows]), np.stack([row.y for row in rows])
         shown = tuple(replace(e, end=float(t[-1])) if e.open else e for e in events if e.open or e.end >= t[0])
-        found = Diagnosis(
-            shown,
-            stack([row.decision for row in rows]),
-            t,
-            self.watch.detector.process_hypotheses,
-            self.watch.clock,
-            words=self.words,
-        )
-        findings = findings_of(self.plant, y, found, MOST_FIGURES if len(rows) > 1 else 0)
+        decisions, tested = stack([row.decision for row in rows]), self.watch.detector.process_hypotheses
+        of_plant, shown_in = Diagnosis(shown, decisions, t, tested, self.watch.clock, words=self.words), self.shown_in
+        plant, y, found = shown_in.plant, shown_in.readings(y), shown_in.diagnosis(of_plant)
+        findings = findings_of(plant, y, found, MOST_FIGURES if len(rows) > 1 else 0, open_first=True)
+        acting, over = ([f for f in findings if f["open"] is acts] for acts in (True, False))
         whole = [line_drawn(found)] if shown else []
-        whole += [overview_drawn(self.plant, y, found)] if len(rows) > 1 else []
+        whole += [overview_drawn(plant, y, found)] if len(rows) > 1 else []
         return {
-            "findings": self._rendered("findings", findings=findings),
+            "findings": self._rendered("findings", acting=acting, over=over),
             "figures": self._rendered("figures", findings=findings, whole=whole),
         }
 
@@ -170,8 +171,14 @@ class LivePage:
         return str(getattr(template.module, name)(**values))
 
 
-def _lamp(conclusion: Conclusion, worst: DeviceHealth) -> tuple[str, str, str]:
-    """Class, letter and words of the lamp: the most severe state of a sensor by NE 107, or that the process has changed."""
-    if worst is DeviceHealth.NORMAL and conclusion.verdict is Verdict.PROCESS:
-        return ("PROCESS", "P", "Process change")
-    return (worst.name, *STATES[worst])
+def _lamp(conclusion: Conclusion, health: Mapping[str, DeviceHealth]) -> tuple[str, str, str]:
+    """Class, letter and words of the lamp: the most severe state by NE 107 with the sensors that have it, which need not be
+    those of the first finding, or that the process has changed.
+    """
+    worst = next((state for state in STATES if state in health.values()), DeviceHealth.NORMAL)
+    if worst is DeviceHealth.NORMAL:
+        process = conclusion.verdict is Verdict.PROCESS
+        return ("PROCESS", "P", "Process change") if process else (worst.name, *STATES[worst])
+    letter, words = STATES[worst]
+    names = [name for name, own in health.items() if own is worst]
+    return (worst.name, letter, f"{words}: {'all sensors' if len(names) == len(health) else listed(names)}")

@@ -42,7 +42,7 @@ SUFFIX = re.compile(
 )
 NUMBER = re.compile(r"[+-]?(?:\d[\d.,' \u00a0\u202f\u2019]*|[.,]\d+)(?:[eE][+-]?\d+)?")
 BLANK = "[ \u00a0\u2009\u202f]"
-SHOWN = 1000  # rows by which the form of numbers is told
+SHOWN = 1000  # rows by which the form of numbers is decided
 STILL = 0.9  # share of the rows without a change, of a tag that is no sensor's
 OFF = re.compile(r"off|0|false|no|closed|stop(?:ped)?|aus|zu|idle|inactive|disabled", re.I)  # the state that comes first, as 0
 STATES = 6  # texts of a column of states, at most

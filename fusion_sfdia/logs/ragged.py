@@ -63,7 +63,7 @@ def rectangle(where: str, cells: Cells, log_map: LogMap, findings: list[Finding]
 def is_cut(cell: str, column: Sequence[str], *, strict: bool = False) -> bool:
     """Whether the last cell of a line that may be cut off is shorter than those before it in its column.
 
-    strict: also where that cannot be told, as of a whole number.
+    strict: also where that is uncertain, as of a whole number.
     """
     others = [c for c in (_text(o) for o in column[-RECENT:]) if c]
     if not cell:
@@ -226,7 +226,7 @@ def _without_cut(below: list[Row], width: int, findings: list[Finding]) -> list[
 def _cut_numbers(column: list[str]) -> list[int]:
     """The positions in a last column of numbers that a line end has cut off: a few with fewer digits than all others have.
 
-    That is told where all have as many decimals, or about sixteen digits, or as many digits and no decimals, and the shorter
+    That is certain where all have as many decimals, or about sixteen digits, or as many digits and no decimals, and the shorter
     number begins one within their range, and where only a few end before or at the point; not of a column that has few values,
     as of a switch.
     """

@@ -56,9 +56,9 @@ class Topology:
             raise ValueError(f"links have shape {links.shape} of {links.dtype}; expected whole numbers (E, 2), two ends a link")
         if links.size and not (0 <= links.min() and links.max() < n):
             raise ValueError(f"links end at nodes {links.min()} to {links.max()}; expected 0 to {n - 1}")
-        itself = links[links[:, 0] == links[:, 1], 0]
-        if itself.size:
-            raise ValueError(f"a link joins {self.shown(itself)} to itself; expected two different ends")
+        loops = links[links[:, 0] == links[:, 1], 0]
+        if loops.size:
+            raise ValueError(f"a link joins {self.shown(loops)} to itself; expected two different ends")
         pairs, count = np.unique(np.sort(links, axis=1) @ np.array([n, 1]), return_counts=True)
         if np.any(count > 1):
             a, b = divmod(int(pairs[count > 1][0]), n)

@@ -22,6 +22,7 @@ FORMAT = 1  # another number where a name goes or changes its meaning; names may
 def as_json(found: Diagnosis, shown_in: LogUnits, read: LoadedLog, about: About) -> str:
     """A diagnosis in the units of the plant, in which sensors also have their tags and sizes in the units of the log."""
     d, t, clock, health, in_log = found.decisions, found.t, found.clock, found.health, shown_in.diagnosis(found)
+    shown = dict(zip(map(id, found.events), in_log.events, strict=True))
     document = {
         "format": FORMAT,
         "log": about.log,
@@ -59,10 +60,7 @@ def as_json(found: Diagnosis, shown_in: LogUnits, read: LoadedLog, about: About)
             }
             for name, unit, s in zip(shown_in.own, shown_in.units, shown_in.plant.sensors, strict=True)
         ],
-        "events": [
-            _event(found, e, shown, shown_in) | {"text": in_log.sentence(shown)}
-            for e, shown in zip(found.events, in_log.events, strict=True)
-        ],
+        "events": [_event(found, e, shown[id(e)], shown_in) | {"text": in_log.sentence(shown[id(e)])} for e in found.findings],
     }
     return json.dumps(for_json(document), indent=2, allow_nan=False)
 

@@ -3,7 +3,9 @@
 "use strict";
 const SVG = "http://www.w3.org/2000/svg";
 const STEPS = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 10800, 21600, 43200, 86400];
-const HINT = "Point at the picture, or use the arrow keys; drag or + and − zoom, Escape or a double click resets.";
+const HINT = matchMedia("(pointer: coarse)").matches
+  ? "Touch the picture to read it; two fingers or + and − zoom, one finger moves, “all” resets."
+  : "Point at the picture, or use the arrow keys; drag or + and − zoom, Escape or a double click resets.";
 
 function enliven(root) {
   for (const paper of root.querySelectorAll(".paper[data-plot]")) if (!paper.reset) plot(paper);
@@ -16,7 +18,7 @@ function made(name, attributes, parent) {
 }
 
 function plot(paper) {
-  const { time, zone, unit, panels } = JSON.parse(paper.dataset.plot);
+  const { time, offsets, unit, panels } = JSON.parse(paper.dataset.plot);
   const svg = paper.querySelector("svg"), figure = paper.closest("figure");
   const [left, , right] = panels[0].box, width = right - left, bottom = panels[panels.length - 1].box[3];
   const moving = parts(svg), lines = panels.flatMap((panel) => panel.lines.map((id) => read(svg, panel, id)));
@@ -24,6 +26,7 @@ function plot(paper) {
   const least = Math.min(1, 10 / Math.max(points.length, 2500));
   const above = made("g", { "pointer-events": "none" }, svg);
   let view = [0, 1], cursor = null, row = "", pressed = null; // view and cursor as parts of the whole time
+  const fingers = new Map(); // each with the part of the time that it holds, and where it is as a share of the width
 
   const tools = document.createElement("div"), says = document.createElement("output");
   tools.className = "tools";
@@ -51,8 +54,8 @@ function plot(paper) {
       const k = Math.floor(((to.y - box[1]) / (box[3] - box[1])) * rows.span + rows.first);
       if (to.y >= box[1] && to.y <= box[3] && rows.names[k] !== undefined) row = rows.names[k];
     }
-    const part = view[0] + Math.min(1, Math.max(0, (to.x - left) / width)) * (view[1] - view[0]);
-    return { part, inside: to.x >= left - 2 && to.x <= right + 2 };
+    const at = Math.min(1, Math.max(0, (to.x - left) / width)), part = view[0] + at * (view[1] - view[0]);
+    return { part, at, inside: to.x >= left - 2 && to.x <= right + 2 };
   }
 
   function draw() {
@@ -62,7 +65,7 @@ function plot(paper) {
     paper.classList.toggle("zoomed", !whole);
     above.replaceChildren();
     if (!whole) {
-      for (const [part, text] of ticks(time, view, unit, zone)) {
+      for (const [part, text] of ticks(time, view, unit, offsets)) {
         const x = place(part);
         for (const { box } of panels) made("path", { d: `M${x} ${box[1]}V${box[3]}`, stroke: "#b0b0b0", "stroke-opacity": 0.3, "stroke-width": 0.8 }, above);
         made("text", { x, y: bottom + 12, "text-anchor": "middle", "font-size": 9 }, above).textContent = text;
@@ -76,16 +79,16 @@ function plot(paper) {
       const x = place(cursor);
       for (const { box } of panels) made("path", { d: `M${x} ${box[1]}V${box[3]}`, stroke: "#444", "stroke-width": 0.8 }, above);
     }
-    says.textContent = cursor === null ? HINT : told();
+    says.textContent = cursor === null ? HINT : readout();
   }
 
-  function told() {
+  function readout() {
     const at = left + cursor * width, fine = Math.abs(time[1] - time[0]) / width / 100;
     const values = lines.flatMap((line) => {
       const k = nearest(line.x, at);
       return Math.abs(line.x[k] - at) < 0.02 ? [`${line.name} ${line.value(k)}`] : [];
     });
-    return [moment(when(cursor), unit, zone, fine), row, values.join(", ")].filter(Boolean).join(": ");
+    return [moment(when(cursor), unit, offsets, fine), row, values.join(", ")].filter(Boolean).join(": ");
   }
 
   function look(a, b) {
@@ -117,9 +120,23 @@ function plot(paper) {
     look(view[0] + over, view[1] + over);
   }
 
+  // Under each finger stays the time that it holds: one moves what is zoomed, else reads; two zoom.
+  function drag() {
+    const [one, two] = fingers.values(), held = two ? (two.part - one.part) / (two.at - one.at) : view[1] - view[0];
+    if (held > 0 && Number.isFinite(held)) look(one.part - one.at * held, one.part + (1 - one.at) * held);
+  }
+  function lift(event) {
+    fingers.delete(event.pointerId);
+    for (const one of fingers.values()) one.part = view[0] + one.at * (view[1] - view[0]);
+  }
+
   svg.addEventListener("pointermove", (event) => {
-    const { part, inside } = partAt(event);
-    if (pressed) {
+    const { part, at, inside } = partAt(event), finger = fingers.get(event.pointerId);
+    if (finger) {
+      finger.at = at;
+      if (fingers.size > 1 || view[1] - view[0] < 1) return drag();
+      snap(part);
+    } else if (pressed) {
       pressed.now = part;
       pressed.moved ||= Math.abs(event.clientX - pressed.x) > 5;
     } else if (inside) snap(part);
@@ -127,20 +144,22 @@ function plot(paper) {
     draw();
   });
   svg.addEventListener("pointerdown", (event) => {
-    const { part, inside } = partAt(event);
+    const { part, at, inside } = partAt(event);
     if (event.button || !inside) return;
-    pressed = { part, now: part, x: event.clientX, moved: false };
     svg.setPointerCapture(event.pointerId);
+    if (event.pointerType !== "touch") pressed = { part, now: part, x: event.clientX, moved: false };
+    else if (fingers.size < 2) fingers.set(event.pointerId, { part, at }), snap(part), draw();
   });
-  svg.addEventListener("pointerup", () => {
+  svg.addEventListener("pointerup", (event) => {
     const was = pressed;
+    lift(event);
     pressed = null;
     if (was && was.moved) look(Math.min(was.part, was.now), Math.max(was.part, was.now));
     else if (was) snap(was.part), draw();
   });
-  svg.addEventListener("pointercancel", () => ((pressed = null), draw()));
-  svg.addEventListener("pointerleave", () => {
-    if (!pressed && document.activeElement !== paper) (cursor = null), draw();
+  svg.addEventListener("pointercancel", (event) => (lift(event), (pressed = null), draw()));
+  svg.addEventListener("pointerleave", (event) => {
+    if (event.pointerType !== "touch" && !pressed && document.activeElement !== paper) (cursor = null), draw();
   });
   svg.addEventListener("dblclick", reset);
   svg.addEventListener("wheel", (event) => {
@@ -207,31 +226,34 @@ function nearest(values, at) {
 }
 
 // A time for people: to how well it is known, `fine` (s, or of the unit); on the wall clock to minutes, seconds or hundredths.
-function moment(t, unit, zone, fine) {
+function moment(t, unit, offsets, fine) {
   if (unit) return `${Number(t.toFixed(Math.min(9, Math.max(0, -Math.floor(Math.log10(fine))))))} ${unit}`;
   const places = fine > 1 ? 16 : fine < 0.005 ? 22 : 19, round = fine > 1 ? 60 : fine < 0.005 ? 0.01 : 1;
-  return wall(Math.round(t / round) * round, zone).slice(0, places);
+  return wall(Math.round(local(t, offsets) / round) * round).slice(0, places);
 }
 
-// Seconds since 1970 on the wall clock of a zone, such as "Europe/Amsterdam" or "+01:00": "2026-03-01 14:20:05.00".
-function wall(t, zone) {
-  const fixed = /^([+-])(\d\d):(\d\d)/.exec(zone), ms = Math.round(t * 1000);
-  const shift = fixed ? (fixed[1] === "-" ? -1 : 1) * (60 * fixed[2] + Number(fixed[3])) * 60000 : 0;
-  const whole = { year: "numeric", month: "2-digit", day: "2-digit", hour: "2-digit", minute: "2-digit", second: "2-digit" };
-  const text = new Intl.DateTimeFormat("sv", { ...whole, timeZone: fixed || !zone ? "UTC" : zone }).format(ms + shift);
-  return `${text}.${String(Math.floor((((ms % 1000) + 1000) % 1000) / 10)).padStart(2, "0")}`;
+// Seconds since 1970 on the wall clock of a zone, by its offsets, each with the time from which it holds.
+function local(t, offsets) {
+  return t + offsets.reduce((found, [from, offset]) => (t >= from ? offset : found), offsets[0][1]);
 }
 
-function ticks(time, view, unit, zone) {
+// Such seconds as text: "2026-03-01 14:20:05.00".
+function wall(t) {
+  return new Date(Math.round(t * 1000)).toISOString().slice(0, 22).replace("T", " ");
+}
+
+// Ticks of a clock stand where the clock shows whole minutes, hours or days; one that it leaves out in spring has none.
+function ticks(time, view, unit, offsets) {
   const whole = time[1] - time[0], start = time[0] + view[0] * whole, span = (view[1] - view[0]) * whole;
   const power = 10 ** Math.floor(Math.log10(span / 4)), decimal = [1, 2, 5, 10].map((v) => v * power).find((v) => span / v <= 5);
   const days = Math.ceil(span / 4 / 86400) * 86400;
   const every = unit || span < 5 ? decimal : STEPS.find((v) => span / v <= 4.5) || days;
-  const found = [];
-  for (let t = Math.ceil(start / every) * every; t <= start + span; t += every) {
-    const text = unit ? String(Number(t.toPrecision(7))) : wall(t, zone);
+  const [first, last] = [start, start + span].map((t) => local(t, offsets)), found = [];
+  for (let k = Math.ceil(first / every); k * every <= last; k += 1) {
+    const v = k * every, fits = (t) => t >= start && Math.abs(local(t, offsets) - v) < Math.min(1, every) / 2;
+    const t = offsets.map(([, offset]) => v - offset).find(fits), text = unit ? String(Number(v.toPrecision(7))) : wall(v);
     const [from, to] = every < 1 ? [14, 22] : every < 60 ? [11, 19] : every < 86400 ? [11, 16] : [5, 10];
-    found.push([(t - time[0]) / whole, unit ? text : text.slice(from, to)]);
+    if (t !== undefined) found.push([(t - time[0]) / whole, unit ? text : text.slice(from, to)]);
   }
   return found;
 }

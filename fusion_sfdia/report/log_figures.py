@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from datetime import timedelta
+from datetime import datetime, timedelta, tzinfo
+from itertools import pairwise
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -30,7 +32,8 @@ MOST_POINTS = 1500  # of a line
 MANY = 500  # events, of which more are drawn as pixels
 MOST_DOTS = 200  # of a line whose points are marked
 MOST_BESIDE = 3  # other verdicts beside that of a finding
-LONGEST = 32  # characters of a name beside an axis
+WIDE = 24  # characters of a line beside a vertical axis
+LONGEST, BRIEF = 36, 33  # characters of a name beside the axis of a time line, and of a picture of a finding
 USUAL, LOUD = 3.0, 6.0  # standard deviations within which readings are as usual, and that the overview shows as the darkest
 COLOUR = {  # of events by their kind
     "process": COLOURS[1],
@@ -42,22 +45,20 @@ COLOUR = {  # of events by their kind
 
 
 def time_axis(found: Diagnosis) -> TimeAxis:
-    """The axis of a diagnosis: of its clock, else in minutes, of more than 5 hours in hours, of more than 5 days in days."""
-    if found.clock.start is not None:
-        zone = found.clock.start.strftime("%Z")
-        day = f"{found.clock.start + timedelta(seconds=float(found.t[0])):%Y-%m-%d}"
-        return TimeAxis(found.clock, 1.0, "", f"time{f' ({zone})' if zone else ''} from {day} on")
-    span = float(found.t[-1] - found.t[0])
-    seconds, unit = (60.0, "min") if span <= 18_000 else (3600.0, "h") if span <= 432_000 else (86_400.0, "days")
-    return TimeAxis(found.clock, seconds, unit, f"time ({unit})")
+    """The axis of a diagnosis: of its clock, else in seconds, as the sentences are and the log is."""
+    first, zone = found.clock.moment(float(found.t[0])), found.clock.zone
+    if first is None:
+        return TimeAxis(found.clock, 1.0, "s", "time (s)")
+    return TimeAxis(found.clock, 1.0, "", f"time{f' ({zone})' if zone else ''} from {first:%Y-%m-%d} on")
 
 
 def on_screen(figure: Figure, found: Diagnosis) -> dict[str, Any]:
-    """What a script needs to read and zoom a figure that is laid out: {"time": [first, last], "zone", "unit", "panels": [...]}.
+    """What a script needs to read and zoom a figure that is laid out: {"time": [first, last], "offsets", "unit", "panels"}.
 
-    time: ends of the time axis, s since 1970 in a zone, such as "Europe/Amsterdam" or "+01:00", or a number of the unit. Of
-    each panel its box [left, top, right, bottom] in the units of the SVG, the ends of its y axis with their unit, the lines
-    whose ids end with their names, and the names of its rows, each one high, where it has names in place of numbers.
+    time: ends of the time axis, s since 1970, or a number of the unit. offsets: of the clock's zone (s), each with the time
+    from which it holds, [[first, 3600], [1774746000, 7200]] where summer time begins within. Of each panel its box [left,
+    top, right, bottom] in the units of the SVG, the ends of its y axis with their unit, the lines whose ids end with their
+    names, and the names of its rows, each one high, where it has names in place of numbers.
     """
     at, (width, height) = time_axis(found), figure.get_size_inches() * SVG_DPI
     panels, time = [], (0.0, 1.0)
@@ -77,17 +78,32 @@ def on_screen(figure: Figure, found: Diagnosis) -> dict[str, Any]:
                 "rows": {"names": names, "first": ends[1] + 0.5, "span": ends[0] - ends[1]},
             }
         )
-    start = found.clock.start
-    if start is None:
-        return {"time": time, "zone": "", "unit": at.unit, "panels": panels}
-    zone = "" if start.tzinfo is None else str(getattr(start.tzinfo, "key", "")) or start.isoformat()[-6:]
-    return {"time": [86_400 * day for day in time], "zone": zone, "unit": "", "panels": panels}
+    if found.clock.start is None:
+        return {"time": time, "offsets": [[time[0], 0.0]], "unit": at.unit, "panels": panels}
+    first, last = (86_400 * day for day in time)
+    return {"time": [first, last], "offsets": offsets(found.clock.start.tzinfo, first, last), "unit": "", "panels": panels}
+
+
+def offsets(zone: tzinfo | None, first: float, last: float) -> list[list[float]]:
+    """The offsets of a zone from UTC (s) between two times, each with the time from which it holds; times in s since 1970."""
+
+    def at(t: float) -> float:
+        return 0.0 if zone is None else (datetime.fromtimestamp(t, zone).utcoffset() or timedelta(0)).total_seconds()
+
+    found = [[first, at(first)]]
+    for low, high in pairwise([*np.arange(first, last, 86_400.0).tolist(), last]):
+        if at(high) != found[-1][1]:
+            while high - low > 0.5:
+                middle = (low + high) / 2
+                low, high = (middle, high) if at(middle) == found[-1][1] else (low, middle)
+            found.append([float(round(high)), at(high)])
+    return found
 
 
 def time_line(axes: Axes, found: Diagnosis, most: int = MOST_ROWS) -> None:
-    """A bar for each event over time, a row for each hypothesis, the process first; `most` rows at most."""
+    """A bar for each event over time, a row for each hypothesis, in the order of findings; `most` rows at most."""
     at = time_axis(found)
-    rows = list(dict.fromkeys((e.kind, e.hypothesis) for e in found.events))
+    rows = list(dict.fromkeys((e.kind, e.hypothesis) for e in found.findings))
     named = {(e.kind, e.hypothesis): label(found, e) for e in found.events}
     shown = rows if len(rows) <= most else rows[: most - 1]
     step = _step(found.t)
@@ -198,12 +214,15 @@ def near(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event], poin
         expected = np.where(np.isfinite(error), reading - error, expected)
     shown = thinned(reading, points)
     line = ".-" if shown.size == reading.size and shown.size < MOST_DOTS else "-"
-    figure = Figure(figsize=(4.8, 4.2), layout="constrained")
-    upper, lower, strip = figure.subplots(3, 1, sharex=True, height_ratios=(6, 3, 1.2))
+    ends = (float(t[window][0]), float(t[window][-1]))
+    inside = [e for e in found.findings if e.start <= ends[1] and e.end >= ends[0]]
+    rows = list(dict.fromkeys((e.kind, e.hypothesis) for e in (events[0], *inside)))[: MOST_BESIDE + 1]
+    figure = Figure(figsize=(4.8, 4.1 + 0.1 * len(rows)), layout="constrained")
+    upper, lower, strip = figure.subplots(3, 1, sharex=True, height_ratios=(6, 3, 0.8 + 0.4 * len(rows)))
     sd = usual / USUAL
     each = [v[shown] for v in (expected - 2 * sd, expected + 2 * sd, expected, reading, error, usual)]
     times, (low, high, middle, read, difference, limit) = broken(t[window][shown], each, found.gaps)
-    x, step, name, colour = at(times), _step(t), KINDS[events[0].kind].word, COLOUR[events[0].kind]
+    x, step, word, colour = at(times), _step(t), KINDS[events[0].kind].word, COLOUR[events[0].kind]
     if found.after is not None:
         upper.fill_between(x, low, high, color=COLOURS[2], alpha=0.25, lw=0, label="expected range (95 %)")
     dots = {"color": COLOURS[0], "markersize": 3, "linewidth": 0.8}
@@ -213,9 +232,10 @@ def near(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event], poin
     lower.fill_between(x, -limit, limit, color="0.85", lw=0, zorder=0)
     spans = [(float(at(e.start)), float(at(e.end + step))) for e in events]
     for axes in (upper, lower):
-        shade(axes, spans, color=colour, alpha=0.15, zorder=0, lw=0, label=f"found: {name}" if axes is upper else None)
-    _strip(strip, found, events, (float(t[window][0]), float(t[window][-1])))
-    upper.set_ylabel(f"{plant.sensor_names[i]} [{unit}]")
+        shade(axes, spans, color=colour, alpha=0.15, zorder=0, lw=0, label=f"found: {word}" if axes is upper else None)
+    _strip(strip, found, rows, inside, ends)
+    name = fill(plant.sensor_names[i], WIDE)
+    upper.set_ylabel(f"{name}{' ' if len(name) + len(unit) < WIDE else chr(10)}[{unit}]")
     lower.set_ylabel(f"difference\n[{unit}]" if found.after is not None else "over its\nlimit")
     strip.set_xlim(float(x[0]), float(at(t[window][-1] + step)))
     at.label_on(strip)
@@ -266,25 +286,34 @@ def _differences(found: Diagnosis, i: int) -> tuple[Array, Array]:
     return over, np.ones_like(over)
 
 
-def _strip(axes: Axes, found: Diagnosis, events: Sequence[Event], window: tuple[float, float]) -> None:
-    """The verdicts in a window (s): a bar for each event, a row for this finding and up to MOST_BESIDE others."""
-    one = (events[0].kind, events[0].hypothesis)
-    inside = [e for e in found.findings if e.start <= window[1] and e.end >= window[0]]
-    rows = list(dict.fromkeys([one, *((e.kind, e.hypothesis) for e in inside)]))[: MOST_BESIDE + 1]
+def _strip(
+    axes: Axes, found: Diagnosis, rows: Sequence[tuple[str, str]], inside: Sequence[Event], window: tuple[float, float]
+) -> None:
+    """The verdicts in a window (s): a bar for each event inside, each in the row of its kind and hypothesis."""
     for row, (kind, hypothesis) in enumerate(rows):
         own = [e for e in inside if (e.kind, e.hypothesis) == (kind, hypothesis)]
         _bars(axes, found, own, window, row, COLOUR[kind])
-    labels = {(e.kind, e.hypothesis): label(found, e, most=1) for e in inside}
+    labels = {(e.kind, e.hypothesis): label(found, e, BRIEF) for e in inside}
     axes.set_yticks(range(len(rows)), [labels.get(row, row[1]) for row in rows], fontsize=7)
     axes.set_ylim(len(rows) - 0.5, -0.5)
     axes.grid(visible=False, axis="y")
 
 
-def label(found: Diagnosis, e: Event, most: int = 2) -> str:
-    """The name of an event beside an axis: of an undecided one those of the first suspects."""
-    names = e.suspects if isinstance(e, UndecidedEvent) else (e.hypothesis,)
-    text = listed([found.words[name].name if name in found.words else name for name in names], " or ", most)
-    return text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…"
+def label(found: Diagnosis, e: Event, longest: int = LONGEST) -> str:
+    """The name of an event beside an axis: of an undecided one those of the first suspects, as many as have room."""
+    names = [short(found, name, longest) for name in (e.suspects if isinstance(e, UndecidedEvent) else (e.hypothesis,))]
+    texts = [listed(names, " or ", most) for most in (2, 1)]
+    text = next((text for text in texts if len(text) <= longest), texts[-1])
+    if len(text) > longest and len(names) > 1:
+        text = f"{names[0]} or {len(names) - 1} more"
+    return text if len(text) <= longest else f"{text[: longest - 1]}…"
+
+
+def short(found: Diagnosis, hypothesis: str, longest: int) -> str:
+    """What a hypothesis is called where there is little room: a sensor or an input its tag, others in few words."""
+    w = found.words.get(hypothesis)
+    words = "" if w is None or w.part in ("sensor", "input") else w.meaning.removeprefix("the ")
+    return words if 0 < len(words) <= longest else w.name if w else hypothesis
 
 
 def broken(t: Array, series: Sequence[Array], gaps: Sequence[Gap]) -> tuple[Array, list[Array]]:
@@ -322,9 +351,10 @@ def process_size(axes: Axes, found: Diagnosis, name: str) -> None:
     at, shown = time_axis(found), thinned(size)
     x, size, sd = at(found.t[shown]), size[shown], sd[shown]
     axes.plot(x, size * scale, color=COLOURS[1], label="above the model")
-    axes.fill_between(x, (size - 2 * sd) * scale, (size + 2 * sd) * scale, color=COLOURS[1], alpha=0.2, label="+- 2 sd", lw=0)
+    axes.fill_between(x, (size - 2 * sd) * scale, (size + 2 * sd) * scale, color=COLOURS[1], alpha=0.2, label="95 %", lw=0)
     axes.axhline(0.0, color="0.4", linewidth=1)
-    axes.set(ylabel=name if share or events[0].unit == "1" else f"{name} [{events[0].unit}]")
+    unit = "" if share or events[0].unit == "1" else f" [{events[0].unit}]"
+    axes.set(ylabel=f"above the model{unit}")
     at.label_on(axes)
     if share:
         axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=None))

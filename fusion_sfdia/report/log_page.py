@@ -26,7 +26,7 @@ from fusion_sfdia.diagnosis.events import Event
 from fusion_sfdia.diagnosis.sentences import KINDS, Words, confidence_of, kind_of, others_of, size_of
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.figure_files import figure_svg
-from fusion_sfdia.report.log_figures import near, on_screen, overview, time_line
+from fusion_sfdia.report.log_figures import LONGEST, near, on_screen, overview, short, time_line
 from fusion_sfdia.report.page import inline, page_environment, part
 from fusion_sfdia.report.plots import panels
 
@@ -62,6 +62,7 @@ class Drawn(NamedTuple):
 def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosis, about: About) -> None:
     """Write report.html of readings y (K, N), NaN where missing, whole or not at all; every name and text is escaped."""
     passing, drawable = found.passing, len(found.t) > 1
+    learnt = found.of_log if about.basis else ()  # by which it is judged, not what was found in it
     lines = [line_drawn(found)] if len(found.events) > 1 else []
     strips = [overview_drawn(plant, y, found)] if found.after is not None and drawable else []
     findings = findings_of(plant, y, found, MOST_FIGURES if drawable else 0)
@@ -82,7 +83,8 @@ def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosi
             plant=plant.name,
             when=found.clock.span(float(found.t[0]), float(found.t[-1])),
             zone=found.clock.zone,
-            remarks=[*(line for line in found.remarks if line != found.limit), *about.notes],
+            remarks=[line for line in (*found.remarks, *about.notes) if line not in (found.limit, *learnt)],
+            learnt=learnt,
             limit=found.limit,
             findings=findings,
             passing=[found.sentence(e) for e in passing[: MOST_EVENTS[0]]],
@@ -97,22 +99,25 @@ def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosi
         file.write(page)
 
 
-def findings_of(plant: Plant, y: NDArray[np.float64], found: Diagnosis, figures: int) -> list[dict[str, Any]]:
-    """The findings of readings y (K, N), the most important first, as texts; the first ones, so many, with a figure."""
-    passing = set(map(id, found.passing))
+def findings_of(
+    plant: Plant, y: NDArray[np.float64], found: Diagnosis, figures: int, *, open_first: bool = False
+) -> list[dict[str, Any]]:
+    """The findings of readings y (K, N), the most important first, as texts; the first ones, so many, with a figure.
+
+    open_first: those that still act before those that are over, of each the most important first.
+    """
     groups: dict[tuple[str, str, str, bool], list[Event]] = {}
-    for e in found.findings:
-        if id(e) not in passing:
-            groups.setdefault((e.kind, e.hypothesis, e.fault, e.fault in SIDED and e.size < 0), []).append(e)
+    for e in found.standing:
+        groups.setdefault((e.kind, e.hypothesis, e.fault, e.fault in SIDED and e.size < 0), []).append(e)
     least, most, all_of_them = POINTS
     points = min(most, max(least, all_of_them // max(len(groups), 1)))
     rows = min(MOST_EVENTS[0], max(1, MOST_EVENTS[1] // max(len(groups), 1)))
     findings = []
-    for k, own in enumerate(groups.values()):
+    for k, own in enumerate(sorted(groups.values(), key=lambda own: open_first and not any(e.open for e in own))):
         figure, title = None, _title(found, own)
         if k < figures:
-            figure = _drawn(found, f"f{k}", title, partial(near, plant, y, found, own, points), _caption(own))
-        findings.append(_finding(found, own, rows) | {"title": title, "figure": figure})
+            figure = _drawn(found, f"f{k}", title, partial(near, plant, y, found, own, points), _caption(found, own))
+        findings.append(_finding(found, own, rows) | {"number": k + 1, "title": title, "figure": figure})
     return findings
 
 
@@ -147,22 +152,26 @@ def _time_line(found: Diagnosis) -> Figure:
 def _title(found: Diagnosis, own: Sequence[Event]) -> str:
     """Name and kind of a finding."""
     e = own[0]
-    name = found.words[e.hypothesis].name if e.hypothesis in found.words else e.hypothesis
+    w, name = found.words.get(e.hypothesis), short(found, e.hypothesis, LONGEST)
+    if e.kind != "sensor" and (w is None or name != w.name):  # words, no tag
+        name = f"{name[0].upper()}{name[1:]}"
     return f"{name}: {e.fault or KINDS[e.kind].word}" if e.kind != "undecided" else "Undecided"
 
 
-def _caption(own: Sequence[Event]) -> str:
+def _caption(found: Diagnosis, own: Sequence[Event]) -> str:
     """What the picture shows beside what its legend states."""
     which = "the readings" if own[0].kind == "sensor" else "the readings furthest from what is expected"
     when = " at the first of these times" if len(own) > 1 else ""
-    return (
-        f"Top: {which}{when}. Middle: their difference from what is expected (grey: the usual range). Bottom: what was found."
-    )
+    off = "their difference from what is expected (grey: the usual range)"
+    if found.after is None:
+        off = "how far they are off, over the limit of an alarm (grey: below it)"
+    return f"Top: {which}{when}. Middle: {off}. Bottom: what was found."
 
 
 def finding_texts(e: Event, words: Words, sentences: Sequence[str], more: str = "") -> dict[str, Any]:
-    """What stands of a finding, by its most important event, where findings are listed."""
+    """What is shown of a finding, by its most important event, where findings are listed."""
     return {
+        "open": e.open,
         "kind": e.kind,
         "word": kind_of(e).word,
         "sentences": sentences,
@@ -179,6 +188,7 @@ def _finding(found: Diagnosis, own: Sequence[Event], most: int) -> dict[str, Any
     more = f"{len(own)} occurrences in all, {found.clock.span(start, end)}; see Numbers." if many else ""
     sentences = [found.sentence(e) for e in (own[:1] if many else own)]
     return finding_texts(first, found.words, sentences, more) | {
+        "open": any(e.open for e in own),
         "rows": [_row(found, e) for e in own[:most]],
         "hidden": max(0, len(own) - most),
     }
@@ -193,5 +203,5 @@ def _row(found: Diagnosis, e: Event) -> dict[str, str]:
         "size": size_of(e, found.words),
         "sigmas": f"{abs(e.sigmas):.3g}" if math.isfinite(e.sigmas) and size_of(e, found.words) else "",
         "confidence": confidence_of(e),
-        "told": e.told(found.clock),
+        "summary": e.summary(found.clock),
     }

@@ -27,10 +27,10 @@ from fusion_sfdia.logs.loaded_log import LoadedLog
 from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.figure_files import write_figure
-from fusion_sfdia.report.log_figures import broken, process_size, thinned, time_axis, time_line
+from fusion_sfdia.report.log_figures import LONGEST, broken, process_size, short, thinned, time_axis, time_line
 from fusion_sfdia.report.log_page import About, write_page
 from fusion_sfdia.report.log_units import LogUnits
-from fusion_sfdia.report.plots import panels, time_series
+from fusion_sfdia.report.plots import legend_above, panels, time_series
 from fusion_sfdia.report.progress import progress
 from fusion_sfdia.report.sample_tables import SUFFIXES, reconstructed, require_tables, scores, write_rows
 
@@ -154,13 +154,13 @@ def _cell(value: Any) -> str:
 def draw(plant: Plant, y: NDArray[np.float64], found: Diagnosis) -> Figure:
     """Readings and reconstruction of the sensors with events, largest first; without events, of the first sensor.
 
-    Of a detector that tests the process, too, first the verdict with all events on a time line, and how far the process is
+    Of a detector that tests the process, too, first what was found with all events on a time line, and how far the process is
     from the model by each accepted hypothesis; of the sensors also those that are suspected.
     """
     process = list(dict.fromkeys(e.hypothesis for e in found.events if isinstance(e, ProcessEvent)))[:MOST_PANELS]
-    verdict = [fill(found.verdict, 80)] if found.process_hypotheses and found.events else []
+    verdict = [fill(found.headline, 60)] if found.process_hypotheses and found.events else []
     names = _sensors(plant, found)[:MOST_PANELS] or [plant.sensor_names[0]]
-    titles = [*verdict, *(f"{name}: process or model" for name in process), *(_title(name, found) for name in names)]
+    titles = [*verdict, *(short(found, name, LONGEST) for name in process), *(_title(name, found) for name in names)]
     figure, axes = panels(titles, columns=1, width=9.5, height=2.6)
     for axis, name in zip(axes[-len(names) :], names, strict=True):
         i = plant.sensor_index(name)
@@ -171,15 +171,18 @@ def draw(plant: Plant, y: NDArray[np.float64], found: Diagnosis) -> Figure:
         series = {"reading": reading, "reconstructed": remade}
         label = f"{name} [{plant.sensors[i].unit}]"
         time_series(axis, t, series, ylabel=label, spans=spans, at=time_axis(found))
-        handles, labels = axis.get_legend_handles_labels()
-        words = ["fault" if label == "fault acts" else label for label in labels]
-        axis.legend(handles, words, fontsize=8, loc="lower right", bbox_to_anchor=(1, 1), ncols=3, borderpad=0)
+        for patch in axis.patches:
+            patch.set_label("fault")
     if verdict:
         time_line(axes[0], found)
         for axis, name in zip(axes[1:], process, strict=False):
             process_size(axis, found, name)
         for axis in axes[1:]:
             axis.set_xlim(axes[0].get_xlim())
+    for axis in axes:
+        if legend := axis.get_legend():
+            legend.remove()
+    legend_above(figure)
     return figure
 
 

@@ -77,7 +77,7 @@ class LogUnits:
         return y if self.same else np.asarray((y - self.offset) / self.factor)
 
     def diagnosis(self, found: Diagnosis) -> Diagnosis:
-        """A diagnosis for people: events, health and readings in the names and units of the log, Decisions else as they are."""
+        """A diagnosis for people: events, health, readings and errors of inputs in the names and units of the log."""
         after, health = found.after, found.health
         if after is not None and not self.same:
             after = after._replace(error=after.error / self.factor, sd=after.sd / np.abs(self.factor))
@@ -85,12 +85,16 @@ class LogUnits:
             excess, shifts = ({self._named(n): value for n, value in of.items()} for of in (health.excess, health.shifts))
             untested = tuple(map(self._named, health.untested))
             health = health._replace(excess=excess, shifts=shifts, untested=untested)
-        made = self.readings(found.decisions.reconstruction)
+        decisions = replace(found.decisions, reconstruction=self.readings(found.decisions.reconstruction))
+        if decisions.process_size is not None and decisions.process_sd is not None:
+            factor = np.array([self.errors[h.name][2] if h.name in self.errors else 1.0 for h in found.process_hypotheses])
+            sd = decisions.process_sd / np.abs(factor)
+            decisions = replace(decisions, process_size=decisions.process_size / factor, process_sd=sd)
         return replace(
             found,
             words=self._words(found.words),
             events=tuple(self._event(e) for e in found.events),
-            decisions=replace(found.decisions, reconstruction=made),
+            decisions=decisions,
             after=after,
             health=health,
         )

@@ -55,6 +55,13 @@ class Bars(NamedTuple):
     published: Sequence[float]
 
 
+class _WallClockLocator(AutoDateLocator):
+    """Ticks of the wall clock, each once: an hour that the clock leaves out in spring would be the next one again."""
+
+    def __call__(self) -> Any:
+        return np.unique(super().__call__())  # type: ignore[no-untyped-call]
+
+
 class TimeAxis(NamedTuple):
     """How times t (s) are drawn: wall-clock times, or in a unit of so many seconds, minutes, hours or days."""
 
@@ -74,7 +81,7 @@ class TimeAxis(NamedTuple):
         axes.set_xlabel(self.label)
         if self.clock.start is not None:
             zone = self.clock.start.tzinfo
-            locator = AutoDateLocator(tz=zone, minticks=3, maxticks=6)  # type: ignore[no-untyped-call]
+            locator = _WallClockLocator(tz=zone, minticks=3, maxticks=7)  # type: ignore[no-untyped-call]
             axes.xaxis.set_major_locator(locator)
             formatter: Any = ConciseDateFormatter(locator, tz=zone, show_offset=False)  # type: ignore[no-untyped-call]
             formatter.formats[-1] = "%H:%M:%S.%f"  # of seconds, of which it leaves out zeros

@@ -35,7 +35,7 @@ def working(what: str) -> Iterator[None]:
 
 
 def _terminal() -> Any:
-    """The console of standard error, None where that is no terminal, or is told that it is none."""
+    """The console of standard error, None where that is no terminal or is set to be none."""
     if not sys.stderr.isatty():
         return None
     from rich.console import Console

@@ -258,11 +258,11 @@ def test_a_drawn_fault_is_stated_as_its_readings_show_it(capsys: pytest.CaptureF
         code, out, _ = call(capsys, "simulate", "--plant", "two-tanks", "--steps", "75", "--out", name, *fault)
         assert code == 0
         logs.append(np.genfromtxt(tmp_path / name, delimiter=",", skip_header=1))
-    told = re.search(r": bias from .* s, magnitude (\S+) \S+ \((\S+) of the signal, \S+ \S+\), (\S+) sigma", out)
-    assert told is not None
+    expected = re.search(r": bias from .* s, magnitude (\S+) \S+ \((\S+) of the signal, \S+ \S+\), (\S+) sigma", out)
+    assert expected is not None
     off = logs[1] - logs[0]
-    assert float(told[1]) == pytest.approx(off.flat[np.argmax(np.abs(off))], rel=1e-3)
-    assert 0.2 <= abs(float(told[2])) <= 0.4 < float(told[3])
+    assert float(expected[1]) == pytest.approx(off.flat[np.argmax(np.abs(off))], rel=1e-3)
+    assert 0.2 <= abs(float(expected[2])) <= 0.4 < float(expected[3])
 
 
 def test_simulate_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -297,8 +297,8 @@ def test_a_change_of_the_process_is_what_was_found(capsys: pytest.CaptureFixture
         "Check this part of the plant.",
         "If the plant is in order there, the model is not: tune it to a log without a fault.",
     ]
-    told = f"`fusion-sfdia tune --plant two-tanks --detector {detector} --healthy HEALTHY.csv`"
-    assert "the model was not tuned to the real plant" in out.splitlines()[-1] and told in out.splitlines()[-1]
+    expected = f"`fusion-sfdia tune --plant two-tanks --detector {detector} --healthy HEALTHY.csv`"
+    assert "the model was not tuned to the real plant" in out.splitlines()[-1] and expected in out.splitlines()[-1]
     code, out, _ = call(capsys, *chosen, "--json")
     (event,) = json.loads(out)["events"]
     assert (event["kind"], event["hypothesis"], event["start"], event["open"]) == ("process", "outlet", 15.0, True)

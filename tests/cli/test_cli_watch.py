@@ -195,7 +195,8 @@ def test_a_line_that_is_too_long_is_refused_whole(
 def test_a_page_is_served_while_rows_come(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], log: Path
 ) -> None:
-    rows, pages = log.read_bytes().splitlines(keepends=True), list[str]()
+    rows, pages = log.read_bytes().replace(b"q2 [", b"FI2.PV [", 1).splitlines(keepends=True), list[str]()
+    Path("map.toml").write_text('[columns]\n"FI2.PV" = { sensor = "q2" }\n')
 
     class Asking(io.BytesIO):
         """Rows, after the 161st of which the page is asked for."""
@@ -208,8 +209,15 @@ def test_a_page_is_served_while_rows_come(
             return super().readline(*size)
 
     monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=Asking(b"".join(rows))))
-    assert main(["watch", *DETECTOR, "--page", "0", "--page-hours", "0.1"]) == 0
+    assert main(["watch", *DETECTOR, "--map", "map.toml", "--page", "0", "--page-hours", "0.1"]) == 0
     (page,) = pages
-    assert "The last 0.1 hours" in page and "q2 has read" in page and "q2: out of specification" in page
+    assert "The last 0.1 hours" in page and "FI2.PV has read" in page and "FI2.PV: out of specification" in page
     assert watched(monkeypatch, b"", "--page", "70000") == 2
     assert "--page is 70000; expected a port" in capsys.readouterr().err
+    for options, error in (
+        (("--page-hours", "8"), "--page-hours needs --page, the page that goes back so far; add --page 8080, or leave"),
+        (("--page", "0", "--page-hours", "-1"), "--page-hours is -1; expected a positive number of hours"),
+        (("--page", "0", "--page-hours", "0"), "--page-hours is 0; expected a positive number of hours"),
+    ):
+        assert watched(monkeypatch, b"", *options) == 2
+        assert error in capsys.readouterr().err

@@ -62,11 +62,13 @@ def test_a_log_is_diagnosed_and_what_was_learnt_is_kept(
     events = {e["hypothesis"]: e for e in document["events"] if e["kind"] == "sensor" and not (e["confidence"] or 1) < 0.5}
     assert abs(events["b"]["start"] - 3000) <= 4 * DT and abs(events["b"]["size"] - 6.0) < 0.6
     assert events["d"]["fault"] == "freeze" and events["d"]["open"]
-    assert "rows in alarm without a fault" in shown.err
+    assert shown.err.count("rows in alarm without a fault") == 1  # and not again below what was found
     files = {"monitor.txt", "report.html", "events.csv", "reconstructed.csv", "scores.csv", "diagnosis.svg", "diagnosis.png"}
     assert files == {p.name for p in out.iterdir() if not p.name.startswith(".")}
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "Judged by healthy logs, without a model" in page and "model not tested" not in page
+    learnt = page.index("rows in alarm without a fault")
+    assert page.index("<h2>Each finding") < page.index("Statistics, and how to read them") < learnt  # folded
     assert main(command) == 2 and "already used" in capsys.readouterr().err
     assert main(["monitor", "--monitor", kept, "--data", data, "--out", str(tmp_path / "again"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == document

@@ -47,4 +47,4 @@ def test_a_rate_of_one_in_each_sample_is_refused() -> None:
 
 
 def test_durations_in_words() -> None:
-    assert [lasting(s) for s in (45.0, 600.0, 10800.0, 7 * 86400.0)] == ["45 s", "10.0 minutes", "3.0 hours", "7.0 days"]
+    assert [lasting(s) for s in (45.0, 600.0, 10800.0, 7 * 86400.0)] == ["45 s", "10 minutes", "3.0 hours", "7.0 days"]

@@ -70,7 +70,8 @@ NO = np.zeros(3, bool)
             "cannot tell: more sensors disagree with the model than can be isolated",
         ),
         ({"isolated": FIRST, "residual": np.array([1e4, 0, 0])}, np.zeros(3), "sensor", "sensor"),
-        ({"process": FIRST, "isolated": FIRST}, np.zeros(3), "process", "process"),
+        ({"process": FIRST, "isolated": FIRST}, np.zeros(3), "sensor", "sensor"),  # as the first finding
+        ({"process": FIRST}, np.zeros(3), "process", "process"),
         ({"isolated": np.array([False, False, False, True])}, np.zeros(3), "process", "process"),
         ({"suspect": FIRST, "process": NO}, np.zeros(3), "cannot tell", "cannot tell: several hypotheses explain an alarm"),
         ({"residual": np.full(3, 1.5)}, np.zeros(3), "cannot tell", "cannot tell: an alarm, and nothing is isolated"),

@@ -24,14 +24,14 @@ def sensor(number: int, what: str, t: float, name: str = "l1", **more: Any) -> C
     return Change(number, what, t, Event(name, t, t, 0.5, "m", what == "opened", sigmas=9.0, **more))
 
 
-def told(changes: list[Change]) -> list[Alarm | None]:
+def alarms_of(changes: list[Change]) -> list[Alarm | None]:
     alarms = Alarms()
     return [alarms.with_alarm(c).alarm for c in changes]
 
 
 def test_a_cause_that_flaps_for_two_hours_is_one_alarm() -> None:
     flood = [sensor(k // 2 + 1, ("opened", "closed")[k % 2], 10.0 * k) for k in range(720)]
-    found = told(flood)
+    found = alarms_of(flood)
     assert [a and a.new for a in found] == [True] + [False] * 719
     assert {a and a.id for a in found} == {1}
     assert [a and a.active for a in found] == [True, False] * 360
@@ -39,13 +39,13 @@ def test_a_cause_that_flaps_for_two_hours_is_one_alarm() -> None:
 
 def test_what_returns_after_ten_minutes_is_a_new_alarm_and_before_it_is_not() -> None:
     changes = [sensor(1, "opened", 0.0), sensor(1, "closed", 5.0)]
-    assert told([*changes, sensor(2, "opened", 604.9)])[-1] == Alarm(1, new=False, active=True)
-    assert told([*changes, sensor(2, "opened", 605.0)])[-1] == Alarm(2, new=True, active=True)
+    assert alarms_of([*changes, sensor(2, "opened", 604.9)])[-1] == Alarm(1, new=False, active=True)
+    assert alarms_of([*changes, sensor(2, "opened", 605.0)])[-1] == Alarm(2, new=True, active=True)
     late = Change(1, "named", 5000.0, sensor(1, "closed", 5.0, fault="bias").event)  # of the event that is over
-    assert told([*changes, late])[-1] == Alarm(1, new=False, active=False)
-    assert told([sensor(1, "opened", 0.0), sensor(2, "opened", 5000.0)])[-1] == Alarm(1, new=False, active=True)
+    assert alarms_of([*changes, late])[-1] == Alarm(1, new=False, active=False)
+    assert alarms_of([sensor(1, "opened", 0.0), sensor(2, "opened", 5000.0)])[-1] == Alarm(1, new=False, active=True)
     both = [sensor(1, "opened", 0.0), sensor(2, "opened", 1.0), sensor(1, "closed", 2.0), sensor(2, "closed", 3.0)]
-    assert [a and a.active for a in told(both)] == [True, True, True, False]
+    assert [a and a.active for a in alarms_of(both)] == [True, True, True, False]
 
 
 def test_one_cause_is_a_sensor_a_hypothesis_what_is_undecided_or_blindness() -> None:
@@ -59,7 +59,7 @@ def test_one_cause_is_a_sensor_a_hypothesis_what_is_undecided_or_blindness() -> 
     assert [cause_of(c) for c in changes] == [
         "sensor l1", "sensor l2", "process leak", "undecided", "undecided", "blind", None, None,
     ]  # fmt: skip
-    assert [a and (a.id, a.new) for a in told(changes)] == [
+    assert [a and (a.id, a.new) for a in alarms_of(changes)] == [
         (1, True), (2, True), (3, True), (4, True), (4, False), (5, True), None, None,
     ]  # fmt: skip
 

@@ -329,14 +329,14 @@ def row_by_row(plant: Plant, path: Path, detector: str, found: Diagnosis, checke
     np.testing.assert_array_equal([s.decision.isolated for s in samples], found.decisions.isolated)
     named = {c.id: c.event for c in changes if c.event is not None and c.event.kind == "sensor"}
     of_log = [e for e in found.events if e.kind == "sensor"]
-    assert sorted(map(told, named.values())) == sorted(map(told, of_log))
-    sizes = {told(e): e.size for e in named.values()}
+    assert sorted(map(essentials, named.values())) == sorted(map(essentials, of_log))
+    sizes = {essentials(e): e.size for e in named.values()}
     for e in of_log:
         if not e.open:
-            assert sizes[told(e)] == pytest.approx(e.size, rel=1e-6, nan_ok=True)
+            assert sizes[essentials(e)] == pytest.approx(e.size, rel=1e-6, nan_ok=True)
 
 
-def told(event: Event) -> tuple[str, str, float, float]:
+def essentials(event: Event) -> tuple[str, str, float, float]:
     """What a watch has last said of an event; of one that lasts it repeats neither the present end nor the size."""
     return event.hypothesis, event.fault, event.start, np.inf if event.open else event.end
 

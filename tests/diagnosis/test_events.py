@@ -76,7 +76,7 @@ def test_the_process_is_first_then_what_is_undecided_then_sensors() -> None:
         ("undecided", "outlet or l1"),
         ("sensor", "q12"),
     ]
-    expected = "process or model: error of inflow, outlet; cannot tell: outlet or l1; sensor q12"
+    expected = "sensor q12; process or model: error of inflow, outlet; cannot tell: outlet or l1"
     assert diagnosis.verdict == expected and repr(diagnosis) == f"<Result of 40 readings, 4 events: {expected}>"
     _, _, undecided, sensor = diagnosis.events
     assert str(undecided) == "cannot tell: outlet or l1, from 15 s to 35 s"  # the more probable first
@@ -89,7 +89,7 @@ def test_what_is_decided_in_the_end_is_no_open_question() -> None:
     assert [e.kind for e in decided.events] == [e.kind for e in other.events] == ["undecided", "sensor"]
     assert decided.events[0].end == 100.0 and decided.events[1].start == 105.0
     assert decided.verdict == "sensor q12"
-    assert other.verdict == "cannot tell: l1 or outlet; sensor q12"
+    assert other.verdict == "sensor q12; cannot tell: l1 or outlet"
 
 
 def test_a_short_alarm_that_ends_by_itself_is_no_open_question() -> None:
@@ -162,7 +162,9 @@ def test_what_is_rather_something_else_is_named_as_a_possibility() -> None:
     assert verdict([unlikely], np.arange(3.0)) == "perhaps c"
     assert verdict([unlikely, replace(sure, hypothesis="c")], np.arange(3.0)) == "sensor c"
     alone = UndecidedEvent("a", 1.0, 4.0, np.nan, "", False, ("a",))
-    assert alone.told(Clock()) == "perhaps a, from 1 s to 4 s"
+    assert alone.summary(Clock()) == "perhaps a, from 1 s to 4 s"
+    with pytest.warns(DeprecationWarning, match=r"Event\.summary"):
+        assert alone.told(Clock()) == alone.summary(Clock())
 
 
 @pytest.mark.parametrize(("samples", "speaks"), [(2, False), (3, True)])

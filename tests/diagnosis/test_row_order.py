@@ -153,10 +153,10 @@ def test_a_jump_counts_with_the_third_row_and_at_the_end_of_the_input_with_the_s
     one = InOrder(0.0, 1e5, remarks.append, step=5.0)
     in_order, found = pushed(one, [0.0, 5.0, 500.0, 505.0, 510.0, 515.0, 9e3])
     assert found == [[], [0.0, 5.0], [], [], [500.0, 505.0, 510.0], [515.0], []] and in_order[-1] == 515.0
-    assert one.rest(515.0, Clock()) == [] and "no row after it confirms its time" in remarks[0]
+    assert one.remaining(515.0, Clock()) == [] and "no row after it confirms its time" in remarks[0]
     two = InOrder(0.0, 1e5, remarks.append, step=5.0)
     pushed(two, [0.0, 5.0, 500.0, 505.0])
-    assert [row.t for row, _ in two.rest(5.0, Clock())] == [500.0, 505.0] and len(remarks) == 1
+    assert [row.t for row, _ in two.remaining(5.0, Clock())] == [500.0, 505.0] and len(remarks) == 1
 
 
 def test_rows_that_are_usually_far_apart_do_not_wait() -> None:

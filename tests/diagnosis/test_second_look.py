@@ -103,8 +103,8 @@ def test_a_fault_that_never_ends_is_named_ever_more_rarely_in_bounded_memory() -
     y[90:, 3] = np.nan
     watch = Watch(bank())
     changes = changes_of(watch, [(float(s), r, a) for s, r, a in zip(t, y, u[:, 0], strict=True)], last=False)
-    told = [(c.event.hypothesis, c.event.fault, c.event.start) for c in changes if c.what == "named" and c.event]
-    assert {(h, f, s) for h, f, s in told} >= {("l1", "bias", 255.0), ("q2", "dropout", 455.0)} and len(told) < 10
+    seen = [(c.event.hypothesis, c.event.fault, c.event.start) for c in changes if c.what == "named" and c.event]
+    assert {(h, f, s) for h, f, s in seen} >= {("l1", "bias", 255.0), ("q2", "dropout", 455.0)} and len(seen) < 10
     look = watch.findings.look
     assert look and len(look.window) == WINDOW and len(look.named) < 5
 

@@ -36,7 +36,7 @@ INFLOW = ProcessEvent("error of inflow", 0.0, 6720.0, 1e-4, "m3/s", False, sd=1e
 
 def test_a_sensor_is_told_as_a_technician_would() -> None:
     assert sentence(TT04, WORDS, NIGHT) == (
-        "Mixed-air temperature TT04 read 1.5 K (1.3 to 1.7) too high from 2026-03-01 02:07 to 03:59; it agrees with the model "
+        "Mixed-air temperature TT04 read 1.5 K (1.3 to 1.7) too high from 2026-03-01 02:07 to 03:59; it reads as expected "
         "again. Check the sensor's wiring or calibration."
     )
     low = replace(TT04, hypothesis="l1", size=-1.5, low=-1.7, high=-1.3, open=True, confidence=0.6, alternatives=("TT04",))
@@ -70,20 +70,20 @@ def test_an_event_that_was_not_seen_to_end_may_still_be_there() -> None:
 
 @pytest.mark.parametrize(("size", "sigmas"), [(0.0, 0.0), (1e-3, 0.003), (np.nan, np.nan)])
 def test_a_size_of_none_is_not_printed(size: float, sigmas: float) -> None:
-    told = sentence(replace(TT04, size=size, sigmas=sigmas), WORDS, NIGHT)
-    assert told.startswith("Mixed-air temperature TT04 gave wrong readings from") and "(" not in told
+    text = sentence(replace(TT04, size=size, sigmas=sigmas), WORDS, NIGHT)
+    assert text.startswith("Mixed-air temperature TT04 gave wrong readings from") and "(" not in text
 
 
-def test_the_process_is_told_by_what_differs() -> None:
+def test_the_process_is_described_by_what_differs() -> None:
     assert sentence(OUTLET, WORDS, NIGHT) == (
         "Outlet has been 5.0 % (3.4 to 6.6) below its value in the model since 2026-03-01 02:07; no single sensor fault "
         "explains this. Check this part of the plant."
     )
-    told = "Flow of the pump (inflow): the actual value was 1.0e-04 m3/s (8e-05 to 1.2e-04) above the recorded one from"
-    assert sentence(INFLOW, WORDS, NIGHT).startswith(told)
+    text = "Flow of the pump (inflow): the actual value was 1.0e-04 m3/s (8e-05 to 1.2e-04) above the recorded one from"
+    assert sentence(INFLOW, WORDS, NIGHT).startswith(text)
     level = replace(OUTLET, hypothesis="equation of level", nominal=np.nan)
-    told = sentence(level, WORDS, NIGHT)
-    assert told.startswith("Something that the model leaves out has lowered the tank since") and "equation" not in told
+    text = sentence(level, WORDS, NIGHT)
+    assert text.startswith("Something that the model leaves out has lowered the tank since") and "equation" not in text
 
 
 @pytest.mark.parametrize(
@@ -96,9 +96,9 @@ def test_the_process_is_told_by_what_differs() -> None:
     ],
 )
 def test_a_size_that_cannot_be_is_not_printed(impossible: ProcessEvent) -> None:
-    told = sentence(impossible, WORDS, NIGHT)
-    assert size_of(impossible, WORDS) == "" and "%" not in told and "m3/s" not in told
-    assert "different from the model" in told or "different from the recorded one" in told
+    text = sentence(impossible, WORDS, NIGHT)
+    assert size_of(impossible, WORDS) == "" and "%" not in text and "m3/s" not in text
+    assert "different from the model" in text or "different from the recorded one" in text
 
 
 def test_what_is_undecided_names_all_suspects_in_words() -> None:

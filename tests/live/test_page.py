@@ -19,6 +19,8 @@ from fusion_sfdia.diagnosis.watch import Watch
 from fusion_sfdia.live.page import MOST_ROWS, POLL, LivePage
 from fusion_sfdia.live.saving import SavedWatch
 from fusion_sfdia.live.status import Answer, Status, served
+from fusion_sfdia.logs.columns import Source
+from fusion_sfdia.logs.conversion import conversion
 
 PATIENCE = 60  # s, after which the test fails instead of hanging
 PLANT = tanks()
@@ -72,15 +74,20 @@ def test_it_shows_state_findings_and_figures() -> None:
     assert page.parts()["findings"] == healthy["findings"]  # drawn a moment ago
     assert "Out of specification" in page.parts()["state"]  # which is always of now
     ticks.time += POLL
-    told = page.parts()
-    assert re.search(r"Flow between the tanks q12 has read .* too high since 155 s", told["findings"])
-    assert told["figures"].count("data-plot=") == told["figures"].count("<svg") == 3
+    shown = page.parts()
+    assert re.search(r"Flow between the tanks q12 has read .* too high since 155 s", shown["findings"])
+    assert shown["figures"].count("data-plot=") == shown["figures"].count("<svg") == 3
     answer = page.answer("/parts")
-    assert answer is not None and json.loads(answer.text) == told
+    assert answer is not None and json.loads(answer.text) == shown
     whole = page.answer("/")
     assert whole is not None and "q12" in whole.text and whole.text.count("<script>") == 1
     assert not re.search(r'(src|href)="(?!#|data:)', whole.text)  # nothing else is fetched
     assert page.answer("/etc/passwd") is None
+    page.show_in([Source("FI12.PV [m3/h]", "q12", 2, False, "m3/h", conversion("m3/h", "m3/s"))])
+    ticks.time += 100 * POLL
+    shown = page.parts()
+    assert re.search(r"Flow between the tanks FI12.PV has read 0\.4.* m3/h .*too high since 155 s", shown["findings"])
+    assert "FI12.PV: out of specification" in shown["state"] and "[m3/h]" in shown["figures"]
 
 
 def test_rows_and_events_are_few_however_long_it_runs() -> None:
@@ -144,8 +151,8 @@ def test_only_this_machine_is_answered_and_a_port_in_use_is_named() -> None:
                 assert error.code == status
         with pytest.raises(urllib.error.HTTPError, match="501"):  # it is read alone
             urllib.request.urlopen(f"http://127.0.0.1:{port}/", data=b"x", timeout=PATIENCE)
-        told = rf"--page: 127.0.0.1:{port} cannot be served \(.*\); name another port"
-        with pytest.raises(ValueError, match=told), served("page", "127.0.0.1", port, lambda path: None):
+        expected = rf"--page: 127.0.0.1:{port} cannot be served \(.*\); name another port"
+        with pytest.raises(ValueError, match=expected), served("page", "127.0.0.1", port, lambda path: None):
             pass
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", port))

@@ -1,4 +1,4 @@
-"""What a reader of results is told of a log: all that is grave, and missing values in a few lines."""
+"""What a reader of results reads about a log: all that is grave, and missing values in a few lines."""
 
 from __future__ import annotations
 

@@ -163,7 +163,7 @@ MUTANTS = (
     ),
     Mutant(
         "fusion_sfdia/learning/frozen_model/frozen_bank.py",
-        "np.minimum(shown, LAST * lately) >= STILL * t",
+        "np.minimum(shown, LAST * recent) >= STILL * t",
         "t > 0",
         "tests/learning/frozen_model/test_frozen_bank.py::test_a_slow_drift_is_named_and_nothing_follows_its_end",
         quick=False,
@@ -1021,6 +1021,18 @@ MUTANTS = (
         '"too high" if e.size > 0',
         '"too high" if e.size < 0',
         "tests/diagnosis/test_sentences.py::test_a_sensor_is_told_as_a_technician_would",
+    ),
+    Mutant(
+        "fusion_sfdia/diagnosis/sentences.py",
+        '"sensor": Kind(0',
+        '"sensor": Kind(3',
+        "tests/report/test_order_of_findings.py::test_findings_have_one_order_on_every_page_and_in_every_file",
+    ),
+    Mutant(
+        "fusion_sfdia/report/log_figures.py",
+        "(middle, high) if at(middle) == found[-1][1]",
+        "(middle, high) if at(middle) != found[-1][1]",
+        "tests/report/test_log_report.py::test_the_offsets_of_a_zone_are_known_from_their_first_second",
     ),
     Mutant(
         "fusion_sfdia/diagnosis/sentences.py",

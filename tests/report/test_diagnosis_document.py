@@ -44,14 +44,14 @@ def test_every_kind_of_event_is_as_the_schema_describes() -> None:
     document = require_described(written(diagnosis, FLOW))
     assert (document["state"], document["verdict"]) == (diagnosis.state, diagnosis.verdict)
     assert document["health"]["suspect"] and document["health"]["text"] == diagnosis.health.line  # type: ignore[union-attr]
-    process, undecided, sensor = document["events"]
+    sensor, process, undecided = document["events"]
     assert process["kind"] == "process" and process["sd"] > 0 and process["in_log"] is None
     assert undecided["suspects"] == ["l1", "error of inflow"] and undecided["size"] is None
     assert (sensor["kind"], sensor["hypothesis"], sensor["open"]) == ("sensor", "q12", True)
 
 
 def test_a_sensor_has_its_rows_its_times_and_what_the_log_calls_it() -> None:
-    event = require_described(written(found(BIASED), FLOW))["events"][-1]
+    event = require_described(written(found(BIASED), FLOW))["events"][0]
     assert T[event["start_row"]] == event["start"] == 105.0 and T[event["end_row"]] == event["end"] == T[-1]
     assert event["start_time"] == "2026-03-29T03:00:45+02:00"
     assert event["text"].startswith(

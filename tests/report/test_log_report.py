@@ -6,9 +6,10 @@ import csv
 import html
 import re
 from dataclasses import replace
-from datetime import datetime, timedelta, timezone
+from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
+from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
@@ -23,13 +24,14 @@ from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBa
 from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.diagnosis.diagnose import Diagnosis, diagnose_run
 from fusion_sfdia.diagnosis.hindsight_steps import Residuals
+from fusion_sfdia.diagnosis.sentences import Wording
 from fusion_sfdia.logs.columns import Source
 from fusion_sfdia.logs.conversion import conversion
 from fusion_sfdia.logs.csv_log import read_log
 from fusion_sfdia.plant.gaps import Gap
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.report.figure_files import figure_svg
-from fusion_sfdia.report.log_figures import MOST_POINTS, broken, near, on_screen, thinned, time_axis
+from fusion_sfdia.report.log_figures import MOST_POINTS, broken, label, near, offsets, on_screen, thinned, time_axis
 from fusion_sfdia.report.log_page import About, write_page
 from fusion_sfdia.report.log_report import FILES, as_text, draw, write_diagnosis
 from fusion_sfdia.report.log_units import LogUnits
@@ -78,8 +80,8 @@ def test_what_was_found_is_first() -> None:
 def test_a_sensor_that_is_off_throughout_has_its_unit_questioned() -> None:
     always = Y[:, 0] + 20 * PLANT.sensor_sigma * (np.arange(4) == 2)
     seen = diagnose(LeaveOneOutBank(PLANT, false_alarm=1e-6), T, always, U[:, 0])
-    told = "q12 is off throughout, since before the log: check its unit and the inputs first"
-    assert told in as_text(seen, "loo").splitlines()
+    expected = "q12 is off throughout, since before the log: check its unit and the inputs first"
+    assert expected in as_text(seen, "loo").splitlines()
     assert "since before" not in as_text(BOTH, "process-bank")
     frozen = replace(seen, events=tuple(replace(e, fault="freeze") for e in seen.events))
     assert not frozen.remarks
@@ -93,11 +95,11 @@ def column(name: str, title: str, unit: str) -> Source:
 def test_people_see_the_tags_and_units_of_their_log_and_tables_those_of_the_plant(tmp_path: Path) -> None:
     shown_in = LogUnits(PLANT, [column("q12", "FI12.PV", "m3/h"), column("l1", "LI1.PV [mm]", "mm"), column("l2", "l2", "")])
     _, sensor, _, undecided, *_ = as_text(shown_in.diagnosis(BOTH), "process-bank").splitlines()
-    told = "Flow between the tanks FI12.PV has read 0.432 m3/h (0.421 to 0.443) too high since 105 s; the error persists."
-    assert sensor.startswith(f"  {told} Check") and "level of the upper tank LI1.PV or the recorded flow" in undecided
+    expected = "Flow between the tanks FI12.PV has read 0.432 m3/h (0.421 to 0.443) too high since 105 s; the error persists."
+    assert sensor.startswith(f"  {expected} Check") and "level of the upper tank LI1.PV or the recorded flow" in undecided
     write_diagnosis(tmp_path, PLANT, BIASED, U[:, 0], BOTH, shown_in=shown_in)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert told in page and "0.432 m3/h" in page and "0.00012" not in page
+    assert expected in page and "0.432 m3/h" in page and "0.00012" not in page
     assert "sensor,q12,105.0,200.0,0.000119" in (tmp_path / "events.csv").read_text(encoding="utf-8")
     header, row = (tmp_path / "reconstructed.csv").read_text(encoding="utf-8").splitlines()[:2]
     flags = "LI1.PV flag,l2 flag,FI12.PV flag,q2 flag,replaced"
@@ -133,28 +135,39 @@ def test_the_figure_begins_with_a_time_line_of_all_verdicts() -> None:
     figure = draw(PLANT, BIASED, BOTH)
     titles = [axes.get_title(loc="left") for axes in figure.axes]
     assert titles == [
-        "process or model: outlet; cannot tell: l1 or error of inflow; sensor q12",
-        "outlet: process or model",
+        "1 faulty sensor, 1 process change, 1 unresolved alarm",
+        "outlet",
         "q12: 1 event",
         "l1: not isolated",  # but suspected
     ]
     line, size, *_ = figure.axes
-    assert [label.get_text() for label in line.get_yticklabels()] == ["outlet", "l1 or inflow", "q12"]
-    assert [text.get_text() for text in line.texts] == ["process", "undecided", "bias"]
+    assert [label.get_text() for label in line.get_yticklabels()] == ["q12", "outlet", "l1 or inflow"]
+    assert [text.get_text() for text in line.texts] == ["bias", "process", "undecided"]
     starts = [bars.get_paths()[0].vertices[:, 0].min() for bars in line.collections]
-    np.testing.assert_allclose(starts, [45 / 60, 10 / 60, 105 / 60])
+    np.testing.assert_allclose(starts, [105, 45, 10])
     shown = np.asarray(size.get_lines()[0].get_ydata(), dtype=float)
     np.testing.assert_allclose(shown[8:], -0.05)  # of the nominal value
     assert np.isnan(shown[:8]).all()
     assert len({axes.get_xlim() for axes in figure.axes}) == 1
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["above the model", "95 %", "reading", "reconstructed", "fault"]
 
 
-@pytest.mark.parametrize("hours", [False, True])
-def test_readings_are_drawn_on_the_axis_of_the_time_line(hours: bool) -> None:
+def test_an_error_of_an_input_is_drawn_in_the_unit_of_the_log() -> None:
+    seen = found(Y[:, 0], accept=(NEVER, 9))
+    shown_in = LogUnits(PLANT, [Source("FC1", "inflow", 0, True, "m3/h", conversion("m3/h", "m3/s"))])
+    axes = draw(shown_in.plant, Y[:, 0], shown_in.diagnosis(seen)).axes[1]
+    assert axes.get_title(loc="left") == "FC1" and axes.get_ylabel() == "above the model [m3/h]"
+    drawn = np.asarray(axes.get_lines()[0].get_ydata(), dtype=float)
+    np.testing.assert_allclose(drawn[-1], 3600 * SIZE[1], rtol=1e-12)
+
+
+@pytest.mark.parametrize("seconds", [False, True])
+def test_readings_are_drawn_on_the_axis_of_the_time_line(seconds: bool) -> None:
     seen = replace(BOTH, t=1000 * T, events=tuple(replace(e, start=1000 * e.start, end=1000 * e.end) for e in BOTH.events))
-    line, *rest = draw(PLANT, BIASED, seen if hours else replace(BOTH, clock=WHEN)).axes
+    line, *rest = draw(PLANT, BIASED, seen if seconds else replace(BOTH, clock=WHEN)).axes
     labels = [axes.get_xlabel() for axes in (line, *rest)]
-    assert set(labels) == {"time (h)" if hours else "time (CET) from 2026-03-01 on"}
+    assert set(labels) == {"time (s)" if seconds else "time (UTC+01:00) from 2026-03-01 on"}
     for axes in rest:
         x = np.asarray(axes.get_lines()[0].get_xdata(), dtype=float)
         low, high = line.get_xlim()
@@ -184,7 +197,7 @@ def test_the_report_states_health_events_and_gaps(tmp_path: Path) -> None:
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count("<script>") == 1 and not re.search(r'(src|xlink:href|href)="(?!#|data:)', page)  # nothing is fetched
     text = html.unescape(re.sub(r"<svg.*?</svg>|<(style|script)>.*?</\1>|<[^>]*>", " ", page, flags=re.DOTALL))
-    for told in (
+    for part in (
         "Diagnosis of <unit> 4.csv",
         "37 rows of 4 sensors of two-tanks, from 2026-03-01 23:58:05 to 2026-03-02 00:01:20; all times in UTC+01:00.",
         "1 faulty sensor.",
@@ -196,7 +209,7 @@ def test_the_report_states_health_events_and_gaps(tmp_path: Path) -> None:
         "q12: bias",
         "All sensors",
     ):
-        assert told in text, told
+        assert part in text, part
     assert page.count("<svg") == 2  # q12 from near, all sensors; of one event a time line is none
     opening = text[: text.index("Each finding")]
     assert "NIS" not in opening and "sigma" not in opening and "odel suspect" not in opening
@@ -219,14 +232,10 @@ def test_the_report_states_health_events_and_gaps(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.y, wall.decisions.reconstruction)
 
 
-def test_the_axis_of_times_follows_the_clock_or_the_span() -> None:
-    assert time_axis(BOTH).label == "time (min)" and time_axis(BOTH)(120.0) == 2.0
-    assert (
-        time_axis(replace(BOTH, t=1000 * T)).label == "time (h)"
-        and time_axis(replace(BOTH, t=10_000 * T)).label == "time (days)"
-    )
+def test_the_axis_of_times_follows_the_clock_or_is_in_seconds() -> None:
+    assert time_axis(BOTH).label == "time (s)" and time_axis(BOTH)(120.0) == 120.0
     wall = time_axis(replace(BOTH, clock=WHEN))
-    assert wall.label == "time (CET) from 2026-03-01 on"
+    assert wall.label == "time (UTC+01:00) from 2026-03-01 on"
     assert num2date(wall(65.0), tz=WHEN.start.tzinfo).isoformat() == "2026-03-01T23:59:05+01:00"  # type: ignore[union-attr]
 
 
@@ -256,8 +265,8 @@ def test_each_finding_is_a_sentence_and_has_its_picture(tmp_path: Path) -> None:
     events = (*BOTH.events[:2], small, large)
     write_page(tmp_path / "report.html", PLANT, BIASED, replace(BOTH, events=events), notes)
     page = html.unescape((tmp_path / "report.html").read_text(encoding="utf-8"))
-    told = ("q12 drifted until it read", "q12 had spikes of", "Outlet has been 5.0 %", "The readings did not show", "<h2>Each")
-    places = [page.index(text) for text in told]
+    texts = ("q12 drifted until it read", "q12 had spikes of", "Outlet has been 5.0 %", "The readings did not show", "<h2>Each")
+    places = [page.index(text) for text in texts]
     assert places == sorted(places)
     for title in ("1. q12: drift", "2. q12: spikes", "3. outlet: process", "4. Undecided"):
         assert f"<h3>{title}</h3>" in page
@@ -287,9 +296,10 @@ def test_a_figure_states_how_its_lines_are_read_as_times_and_values() -> None:
 
         svg = figure_svg("f", draw_one, text="none", laid_out=lambda figure, seen=seen: plots.append(on_screen(figure, seen)))  # type: ignore[misc]
     seconds, wall = plots
-    assert (seconds["unit"], seconds["zone"]) == ("min", "") and (wall["unit"], wall["zone"]) == ("", "+01:00")
+    assert (seconds["unit"], seconds["offsets"]) == ("s", [[seconds["time"][0], 0.0]])
+    assert (wall["unit"], wall["offsets"]) == ("", [[wall["time"][0], 3600.0]])
     start = WHEN.start.timestamp()  # type: ignore[union-attr]
-    np.testing.assert_allclose((np.array(wall["time"]) - start) / 60, seconds["time"], atol=1e-5)  # days since 1970 have 1e-6 s
+    np.testing.assert_allclose(np.array(wall["time"]) - start, seconds["time"], atol=1e-5)  # days since 1970 have 1e-6 s
     upper, lower, strip = wall["panels"]
     assert (upper["lines"], lower["lines"], strip["lines"]) == (["expected", "reading"], ["difference"], [])
     assert upper["unit"] == lower["unit"] == "m3/s" and strip["rows"]["names"][0] == "q12"
@@ -301,6 +311,35 @@ def test_a_figure_states_how_its_lines_are_read_as_times_and_values() -> None:
     rows = np.searchsorted(T, t - 1)
     np.testing.assert_allclose(t, T[rows], atol=0.01)
     np.testing.assert_allclose(y, BIASED[rows, 2], atol=1e-6 * np.ptp(upper["y"]))  # an SVG of matplotlib has 6 decimals
+
+
+def test_names_beside_an_axis_are_tags_or_few_words() -> None:
+    seen = replace(BOTH, words={**BOTH.words, "outlet": Wording("parameter", "outlet", "the outlet of the upper tank")})
+    (outlet,) = (e for e in seen.events if e.hypothesis == "outlet")
+    (between,) = (e for e in seen.events if e.kind == "undecided")
+    assert label(seen, outlet) == "outlet of the upper tank" and label(seen, outlet, 10) == "outlet"
+    several = replace(between, suspects=("outlet", "l1", "q12"))
+    assert label(seen, several) == "outlet of the upper tank or 2 more" and label(seen, several, 18) == "outlet or 2 more"
+    assert label(seen, between, 11) == "l1 or 1 mo…"
+
+
+def test_the_offsets_of_a_zone_are_known_from_their_first_second() -> None:
+    first, last = (datetime(2026, month, 20, tzinfo=UTC).timestamp() for month in (3, 11))
+    spring, autumn = datetime.fromisoformat("2026-03-29T01:00Z"), datetime.fromisoformat("2026-10-25T01:00Z")
+    in_time = [[first, 3600.0], [spring.timestamp(), 7200.0], [autumn.timestamp(), 3600.0]]
+    assert offsets(ZoneInfo("Europe/Amsterdam"), first, last) == in_time
+    assert offsets(ZoneInfo("Asia/Kolkata"), first, last) == [[first, 19_800.0]]
+    assert offsets(None, first, last) == [[first, 0.0]]
+
+
+@pytest.mark.parametrize("hours", [2.9, 2.5 * 24, 71.9])
+def test_a_span_of_three_of_a_unit_has_ticks_of_the_wall_clock_without_a_warning(hours: float) -> None:
+    axis = time_axis(replace(BOTH, clock=WHEN))
+    figure = Figure()
+    axes = figure.subplots()
+    axes.set_xlim(float(axis(0.0)), float(axis(3600 * hours)))
+    axis.label_on(axes)
+    assert 3 <= len(axes.get_xticks()) <= 7  # warnings are errors
 
 
 @pytest.mark.long

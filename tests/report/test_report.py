@@ -209,21 +209,21 @@ def test_sentences_are_filled_from_rows() -> None:
         Row("s", "p", "b", "bias", "flow", "auc", 1234.5),
     ]
     assert pick(rows, detector="a", fault=("bias", "drift")) == [rows[2]]
-    assert [r.detector for r in pick(rows, metric="auc")] == ["a", "a", "b"]  # what is undefined is not told
+    assert [r.detector for r in pick(rows, metric="auc")] == ["a", "a", "b"]  # what is undefined is left out
     assert listed(pick(rows)) == "a 0.5 to 0.75; b 1234"
     assert listed(pick(rows), "quantity") == "pressure 0.5 to 0.75; flow 1234"
     assert (span([]), span([math.nan]), span([0.12345, 0.1234])) == ("unknown", "unknown", "0.123")
     assert listed([]) == "unknown"
 
 
-def test_runs_that_are_left_out_are_told() -> None:
+def test_runs_that_are_left_out_are_reported() -> None:
     rows = [
         Row("s", "p", "a", "bias", "pressure", "diverged", 0.5),
         Row("s", "p", "a", "bias", "pressure", "diverged_unaccommodated", 1.0),
         Row("s", "p", "b", "bias", "pressure", "diverged", 0.0),
     ]
-    (told,) = left_out(rows)
-    assert told.endswith(": a 50% (pressure, bias); a 100% (pressure, bias, without diagnosis) of the runs.")
+    (line,) = left_out(rows)
+    assert line.endswith(": a 50% (pressure, bias); a 100% (pressure, bias, without diagnosis) of the runs.")
     assert left_out(rows[2:]) == []
 
 

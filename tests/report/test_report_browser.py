@@ -6,8 +6,9 @@ import re
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
-from datetime import datetime, timedelta, timezone
+from datetime import UTC, datetime, timedelta, timezone
 from typing import Any
+from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
@@ -161,14 +162,91 @@ def test_a_figure_is_read_and_zoomed(browser: Any, diagnosis: str) -> None:
 
     keys = webdriver.Keys
     browser.execute_script("arguments[0].focus()", paper)
-    told = []
+    readouts = []
     for key in (keys.HOME, keys.ARROW_RIGHT, keys.ARROW_RIGHT, keys.ARROW_LEFT, keys.END):
         action_chains(browser).send_keys(key).perform()
-        told.append(says.text.split(": ")[0])
-    assert told == [*sorted(told[:3]), told[1], "2026-03-02 00:03:00"] and len(set(told)) == 4
+        readouts.append(says.text.split(": ")[0])
+    assert readouts == [*sorted(readouts[:3]), readouts[1], "2026-03-02 00:03:00"] and len(set(readouts)) == 4
     action_chains(browser).send_keys("++").perform()
     assert "zoomed" in paper.get_attribute("class")
-    assert "23:5" in told[0] and told[0] not in paper.text
+    assert "23:5" in readouts[0] and readouts[0] not in paper.text
     action_chains(browser).send_keys(keys.ESCAPE).perform()
     assert "zoomed" not in paper.get_attribute("class") and says.text.startswith("Point at the picture")
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+
+
+@pytest.fixture(scope="module")
+def nights(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The address of the report of five days about the night in which summer time begins."""
+    plant, path = tanks(), tmp_path_factory.mktemp("nights") / "report.html"
+    t, _, y, u = readings(plant, 60, 1, seed=0)
+    y = y[:, 0] + 20 * plant.sensor_sigma * np.outer(t > 150, np.arange(4) == 2)
+    found = diagnose_run(LeaveOneOutBank(plant), Log(t, y, u[:, 0]))
+    clock = Clock(datetime(2026, 3, 27, 18, tzinfo=ZoneInfo("Europe/Amsterdam")))
+    events = tuple(replace(e, start=1440 * e.start, end=1440 * e.end) for e in found.events)
+    write_page(path, plant, y, replace(found, t=1440 * t, events=events, clock=clock), About("log.csv", "loo"))
+    return path.as_uri()
+
+
+def test_ticks_stand_where_the_clock_of_the_zone_shows_them(browser: Any, nights: str) -> None:
+    """Midnight is that of the zone, and after the night of 29 March its ticks are an hour less apart from it."""
+    browser.get(nights)
+    ticks = "return ticks(arguments[0], arguments[1], '', arguments[2])"
+    offsets = browser.execute_script("return JSON.parse(document.querySelector('.whole .paper').dataset.plot).offsets")
+    change = datetime(2026, 3, 29, 1, tzinfo=UTC).timestamp()
+    assert [offset for _, offset in offsets] == [3600, 7200] and offsets[1][0] == change
+    zone, time = ZoneInfo("Europe/Amsterdam"), [change - 50 * 3600, change + 50 * 3600]
+    for view, count, form in (([0, 1], 4, "%m-%d"), ([0.4, 0.6], 4, "%H:%M"), ([0.48, 0.52], 4, "%H:%M")):
+        found = browser.execute_script(ticks, time, view, offsets)
+        moments = [datetime.fromtimestamp(round(time[0] + part * (time[1] - time[0])), zone) for part, _ in found]
+        assert len(found) >= count - 1 and [text for _, text in found] == [f"{moment:{form}}" for moment in moments]
+        assert all(moment.minute == 0 and (form != "%m-%d" or moment.hour == 0) for moment in moments)
+
+
+def test_a_figure_is_moved_and_zoomed_by_touch(browser: Any, diagnosis: str) -> None:
+    browser.get(diagnosis)
+    browser.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True, "maxTouchPoints": 2})
+    try:
+        touched(browser)
+    finally:
+        browser.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": False})
+
+
+def touched(browser: Any) -> None:
+    paper = browser.find_element("css selector", ".near .paper")
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", paper)
+    x, y, width = browser.execute_script(
+        "const b = arguments[0].getBoundingClientRect(); return [b.x, b.y + 150, b.width]", paper
+    )
+    reading = paper.find_element("css selector", "[id$='-reading'] path")
+    says = browser.find_element("css selector", ".near output")
+
+    def touch(kind: str, *shares: float) -> None:
+        points = [{"x": x + share * width, "y": y, "id": k} for k, share in enumerate(shares)]
+        browser.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
+
+    def ends() -> tuple[float, float]:
+        """Where the line begins and ends: it is as wide as the zoom is large."""
+        path = re.findall(r"[ML]\s*(\S+)", reading.get_attribute("d"))
+        return float(path[0]), float(path[-1])
+
+    def moved(*steps: tuple[float, ...]) -> None:
+        touch("Start", *steps[0])
+        for step in steps[1:]:
+            touch("Move", *step)
+        touch("End")
+
+    whole = ends()
+    moved((0.5,), (0.5,))  # a touch reads
+    assert re.fullmatch(r"2026-03-02 00:0\d:\d[05]: expected .*", says.text) and ends() == whole
+    moved((0.3,), (0.5,), (0.7,))  # there is nothing to move yet
+    assert ends() == whole
+    moved((0.45, 0.65), (0.4, 0.7), (0.35, 0.75))  # two fingers, twice as far from each other in the end
+    zoomed = ends()
+    assert (zoomed[1] - zoomed[0]) / (whole[1] - whole[0]) == pytest.approx(2, rel=0.02)
+    moved((0.6,), (0.55,), (0.5,))
+    shifted = ends()
+    assert shifted[1] - shifted[0] == pytest.approx(zoomed[1] - zoomed[0], abs=0.1) and shifted[0] < zoomed[0] - 10
+    moved((0.35, 0.75), (0.45, 0.65), (0.49, 0.61))
+    assert ends() == whole and "zoomed" not in paper.get_attribute("class")
     assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []

@@ -61,7 +61,7 @@ def chosen(folder: str, kind: str, order: int) -> ModelChoice:
 
 def monitored(task: Task) -> Arrays:
     """Of one method: alarms in d00_te after the first samples, isolated (K, runs, 41) and active of both kinds of faults,
-    whether each drift ends isolated, the held-out rate, and the smallest biases that can be told, in both sigmas (2, 41).
+    whether each drift ends isolated, the held-out rate, and the smallest biases that can be isolated, in both sigmas (2, 41).
     """
     folder, name = task["data"], task["detector"]
     choice = chosen(folder, task["kind"], task["order"])
@@ -75,12 +75,12 @@ def monitored(task: Task) -> Arrays:
 
     report = identifiability(choice.plant)
     of = sigmas(folder, choice.plant)
-    told_size = np.stack([report.told_apart * report.sigma / of[sigma] for sigma in SIGMAS])
+    isolable_size = np.stack([report.told_apart * report.sigma / of[sigma] for sigma in SIGMAS])
     arrays = {
         "healthy alarm": alarm,
         "held-out": np.array([calibration.rate]),
-        "told size": told_size,
-        "told": told_size <= task["size"],
+        "isolable size": isolable_size,
+        "isolable": isolable_size <= task["size"],
         "model": np.array([str(choice.chosen)]),
     }
     for kind, length in LENGTHS.items():

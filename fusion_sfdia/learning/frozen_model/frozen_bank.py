@@ -268,8 +268,8 @@ class FrozenBank(BatchDetector):
                 quarter, last = (
                     self._mean(memory.errors[..., np.arange(k - r, k) % LONGEST, :]) for r in (max(w // 4, LATELY), LATELY)
                 )
-                shown, lately = (explained(spread, *a, d[..., :0], g)[0] for a in (quarter, last))
-                still = np.minimum(shown, LAST * lately) >= STILL * t
+                shown, recent = (explained(spread, *a, d[..., :0], g)[0] for a in (quarter, last))
+                still = np.minimum(shown, LAST * recent) >= STILL * t
             ratio = np.maximum(ratio, np.where(still, t, 0.0))
             seen |= (j >= HALF * t[..., None]) & (still & (t > SHOWS))[..., None]
             outside |= (t <= self._named_above) & (t * off > self._named_above) & (off > 1)

@@ -139,8 +139,8 @@ def _model(found: Inspection) -> list[tuple[str, str]]:
         seen = pattern.left_out and f"not analysed: {pattern.left_out}"
         groups = "; ".join(" and ".join(g) for g in pattern.groups)
         lost = ", ".join(pattern.undetectable)
-        told = "every fault is told from every other" if not (groups or lost) else f"not told apart: {groups or 'none'}"
-        lines.append(("equations", seen or told + (f"; not detectable: {lost}" if lost else "")))
+        isolable = "every fault is told from every other" if not (groups or lost) else f"not told apart: {groups or 'none'}"
+        lines.append(("equations", seen or isolable + (f"; not detectable: {lost}" if lost else "")))
     if found.healthy is not None:
         h = found.healthy
         lines.append(

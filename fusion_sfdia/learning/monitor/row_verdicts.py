@@ -49,7 +49,7 @@ class GroupEvent(Event):
     kind: ClassVar[str] = "process"
     most: tuple[str, ...] = ()
 
-    def told(self, clock: Clock) -> str:
+    def summary(self, clock: Clock) -> str:
         """The event in words, with the times of a clock."""
         by = f", most: {listed(self.most)}" if self.most else ""
         return f"process {self.when(clock)}: readings that move together as never in the healthy logs{by}; no sensor alone"
@@ -61,7 +61,7 @@ class OutsideEvent(GroupEvent):
 
     kind: ClassVar[str] = "outside"
 
-    def told(self, clock: Clock) -> str:
+    def summary(self, clock: Clock) -> str:
         """The event in words, with the times of a clock."""
         by = f", most: {listed(self.most)}" if self.most else ""
         return f"outside what was learnt {self.when(clock)}{by}: an operation that no healthy log has, or a process fault"
@@ -73,7 +73,7 @@ class RecorderEvent(Event):
 
     kind: ClassVar[str] = "outside"
 
-    def told(self, clock: Clock) -> str:
+    def summary(self, clock: Clock) -> str:
         """The event in words, with the times of a clock."""
         return f"recorder stopped {self.when(clock)}: several sensors repeat or miss their readings since the same row"
 
@@ -84,7 +84,7 @@ class StillEvent(Event):
 
     kind: ClassVar[str] = "outside"
 
-    def told(self, clock: Clock) -> str:
+    def summary(self, clock: Clock) -> str:
         """The event in words, with the times of a clock."""
         return f"{self.hypothesis} moved {self.when(clock)}, by {with_unit(f'{self.size:.4g}', self.unit)}; never when healthy"
 

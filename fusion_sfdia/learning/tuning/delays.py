@@ -26,7 +26,7 @@ class Delays(NamedTuple):
 
     sizes: tuple[float, ...]
     delay: Array
-    found: Array
+    detected_share: Array
     onsets: int
     within: float
 

@@ -269,7 +269,7 @@ def _quality(
         figures[f"delay_{size:g}"] = {
             "median": float(np.median(late.delay[s])),
             "worst": float(np.max(late.delay[s])),
-            "found": float(np.mean(late.found[s])),
+            "found": float(np.mean(late.detected_share[s])),
         }
     figures["remarks"] = remarks(found, figures, limit, rate)
     return figures

@@ -20,5 +20,5 @@ def test_large_biases_are_found_at_once_and_the_sensor_that_is_deaf_never() -> N
     found = delays(LeaveOneOutBank(PLANT, false_alarm=1e-4), Log(t, y, u), 20, sizes=(3.0, 20.0))
     assert found.sizes == (3.0, 20.0) and found.within == 60.0
     np.testing.assert_array_equal(found.delay[1], [0.0, 0.0, np.inf])
-    np.testing.assert_array_equal(found.found[:, 2], 0.0)
-    assert np.all(found.delay[0, :2] > 0) and np.all(found.found[1, :2] == 1)
+    np.testing.assert_array_equal(found.detected_share[:, 2], 0.0)
+    assert np.all(found.delay[0, :2] > 0) and np.all(found.detected_share[1, :2] == 1)
