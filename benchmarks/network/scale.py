@@ -21,7 +21,7 @@ from fusion_sfdia.benchmarks.network.support.robust_scale import growth, robust_
 from fusion_sfdia.benchmarks.network.support.rows import row
 from fusion_sfdia.common.run_statistics import NOTHING
 from fusion_sfdia.detectors.stochastic_thresholds.consensus import Diagnosers, NetworkReadings, initial_state
-from fusion_sfdia.detectors.stochastic_thresholds.network_step import network_step
+from fusion_sfdia.detectors.stochastic_thresholds.network_step import network_step, terms_of
 from fusion_sfdia.detectors.stochastic_thresholds.partitioned_network import PartitionedNetwork
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import NetworkModel, network_model
@@ -71,15 +71,16 @@ def stepping(areas: Areas) -> tuple[partial[None], list[Array]]:
     """A call that computes one step after the other in the same memory, and the arrays that a step reads or writes."""
     count, n, sides = areas.size
     given = Constant(n)(0, (0, count), np.arange(sides))
+    terms = terms_of(areas.arrays)
     turns: list[Diagnosers] = [initial_state(areas, (1,)), initial_state(areas, (1,))]
 
     def step() -> None:
-        now, _ = network_step(areas, turns[0], given, ALPHA, LAM, out=turns[1])
+        now, _ = network_step(areas, turns[0], given, ALPHA, LAM, out=turns[1], terms=terms)
         turns[:] = [now, turns[0]]
 
-    at = areas.arrays("corrected")
-    model = [at.matrices, at.slope, at.closed, at.start, at.opposite, at.reader, at.known, at.area_terms, at.side_terms]
-    return partial(step), [*model, *turns[0], *turns[1], *given, np.empty(count, np.bool_)]
+    at = areas.arrays
+    model = [at.matrices, at.slope, at.closed, at.start, at.opposite, at.reader]
+    return partial(step), [*model, *terms, *turns[0], *turns[1], *given, np.empty(count, np.bool_)]
 
 
 def scale_tasks(settings: Settings, seeds: int) -> list[Task]:

@@ -25,6 +25,7 @@ from fusion_sfdia.logs.log_forms import as_log
 from fusion_sfdia.plant.border import InputLimits
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.redundancy import most_faults, redundancy
 
 HELD = 30  # samples in a row in which all readings are far from the model and are not taken; what lasts longer is believed
 
@@ -385,3 +386,28 @@ class BatchDetector(Claims, ABC):
             f"this is no state of {type(self).__name__} on plant {self.plant.name!r} with these settings; take it from "
             "its init, its last step or load_state"
         )
+
+
+class IsolatingDetector(BatchDetector):
+    """One with a setting max_faults: how many sensors it isolates at once, None for what the plant's redundancy allows."""
+
+    max_faults: int | None
+
+    @cached_property
+    def most_faults(self) -> int:
+        """How many sensors it isolates at once at most."""
+        return min(self.max_faults or most_faults(self.plant), len(self.plant.sensors))
+
+    def why_no_more(self) -> str:
+        return redundancy(self.plant).reason if self.max_faults is None else "as max_faults states"
+
+
+class AccommodatingDetector(IsolatingDetector):
+    """One with a setting `accommodate`, too: whether it goes on without the readings of isolated sensors."""
+
+    accommodate: bool
+
+    def watching(self) -> Self:
+        settings: Any = self  # a dataclass in each detector
+        quiet: Self = replace(settings, accommodate=False)
+        return quiet

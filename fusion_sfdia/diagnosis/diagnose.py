@@ -325,6 +325,7 @@ def diagnose_run(
     clock: Clock = SECONDS,
     each: Callable[[Sequence[int]], Iterable[int]] = iter,
     unread: Collection[str] = (),
+    decisions: Decision | None = None,
 ) -> Diagnosis:
     """Run a detector over a Log of one run, NaN where a reading is missing, and collect what it isolates into events, of a
     detector that tests the process, too, also what it accepts and what it cannot tell apart.
@@ -334,6 +335,7 @@ def diagnose_run(
     and after; where that takes too many steps it starts anew (see `plant.gaps`). A second look without the isolated readings
     gives kind and size of the faults and whether the model fits. clock: of the times in the result. each: wraps the steps of
     both passes, to show progress. unread: sensors that the log is known not to have; that they are silent is no event.
+    decisions: those of `decided` on the log, where they are known.
 
     ValueError where shapes or times do not fit, or there are several runs. DiagnosisWarning where the estimate diverged or was
     moved back into the limits of the model, where it starts anew, where a sensor was never read, where readings or inputs are
@@ -342,24 +344,9 @@ def diagnose_run(
     """
     log = one_run(log)
     track, gaps = bridged(detector.plant, log)
-    with threadpool_limits(1):  # of linear algebra: matrices are small, threads would wait for each other
-        decisions = decided(detector, track, each, clock)
-    return concluded(detector, log, track, gaps, decisions, gap=gap, clock=clock, each=each, unread=unread)
-
-
-def concluded(
-    detector: Detector,
-    log: Log,
-    track: Track,
-    gaps: tuple[Gap, ...],
-    decisions: Decision,
-    *,
-    gap: int = 3,
-    clock: Clock = SECONDS,
-    each: Callable[[Sequence[int]], Iterable[int]] = iter,
-    unread: Collection[str] = (),
-) -> Diagnosis:
-    """The second half of `diagnose_run`: what the decisions on a log, bridged to a track with gaps, say together."""
+    if decisions is None:
+        with threadpool_limits(1):  # of linear algebra: matrices are small, threads would wait for each other
+            decisions = decided(detector, track, each, clock)
     t, y, u = log
     y = present(y, decisions)
     frozen = repeats(y)

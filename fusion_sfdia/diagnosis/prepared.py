@@ -13,7 +13,7 @@ import numpy as np
 
 from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors.batch_detector import BatchDetector
-from fusion_sfdia.detectors.detector import Detector, check_reading
+from fusion_sfdia.detectors.detector import Decision, Detector, check_reading
 from fusion_sfdia.diagnosis.diagnose import Diagnosis, diagnose_run
 from fusion_sfdia.diagnosis.lag import explained_by_lag
 from fusion_sfdia.logs.check import CHECKED, checked, without_suspects
@@ -37,16 +37,20 @@ class Prepared(NamedTuple):
     suspects: tuple[str, ...]
     of_log: tuple[str, ...]
 
-    def diagnose(self, *, gap: int = 3, each: Callable[[Sequence[int]], Iterable[int]] = iter) -> tuple[Diagnosis, Log]:
+    def diagnose(
+        self, *, gap: int = 3, each: Callable[[Sequence[int]], Iterable[int]] = iter, decisions: Decision | None = None
+    ) -> tuple[Diagnosis, Log]:
         """The Diagnosis, see `diagnose_run`, with late sensors explained, and the log that it is of, see `explained_by_lag`.
-        ValueError, DiagnosisWarning: as of `diagnose_run`.
+        decisions: those of the detector on the log, where they are known. ValueError, DiagnosisWarning: as of `diagnose_run`.
         """
 
-        def again(log: Log) -> Diagnosis:
-            found = diagnose_run(self.detector, log, gap=gap, clock=self.clock, each=each, unread=self.unread)
+        def again(log: Log, decisions: Decision | None = None) -> Diagnosis:
+            found = diagnose_run(
+                self.detector, log, gap=gap, clock=self.clock, each=each, unread=self.unread, decisions=decisions
+            )
             return replace(found, of_log=self.of_log, suspects=self.suspects)
 
-        return explained_by_lag(self.detector, self.log, again(self.log), again)
+        return explained_by_lag(self.detector, self.log, again(self.log, decisions), again)
 
 
 def prepared(detector: Detector, loaded: LoadedLog, build: Callable[[Plant], Detector] | None = None) -> Prepared:

@@ -26,10 +26,7 @@ class AreaArrays(NamedTuple):
 
     matrices to opposite: as of Areas and Topology; received (S,) bool: where an area has no sensor of its neighbour's first
     state. It receives what the neighbour holds, whose noise is then in shared_noise, 0 of an estimate. reader (S,): the area at
-    the other end of each side. known (N,) bool: whether the terms of an area are valid. area_terms (N + 1, 1 + 2 n), side_terms
-    (S + D, 2), D the most sides of an area: weights and deviations of areas whose readings are all present, which the steps
-    themselves compute where they are not known, and behind them those of an area that misses some
-    (consensus_equations.find_terms).
+    the other end of each side.
     """
 
     matrices: Array
@@ -42,17 +39,6 @@ class AreaArrays(NamedTuple):
     start: Array
     opposite: Array
     reader: Array
-    known: Array
-    area_terms: Array
-    side_terms: Array
-
-    @classmethod
-    def without_terms(cls, *model: Array) -> AreaArrays:
-        """The arrays of areas of which no terms are known; model: matrices to reader."""
-        (count, n, _), start = model[0].shape, model[cls._fields.index("start")]
-        most = int(np.diff(start).max())
-        terms = np.zeros(count, bool), np.empty((count + 1, 1 + 2 * n)), np.empty((int(start[-1]) + most, 2))
-        return cls(*(*model, *terms))
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,38 +149,16 @@ class Areas:
         """Whether any state is not read by its own area or by a neighbour."""
         return bool(np.any(self.unread) or np.any(self.received))
 
-    def arrays(self, mode: str) -> AreaArrays:
-        """The arrays for compiled steps in a mode, with the terms that its steps keep. Not copies: see `forget`.
-
-        Parameters
-        ----------
-        mode : str
-            "corrected" or "paper".
-
-        Returns
-        -------
-        AreaArrays
-            Of all areas.
-
-        Raises
-        ------
-        ValueError
-            For the mode "paper" where a state is not read.
-        """
-        if mode == "paper" and self.partly_read:
-            raise ValueError(
-                f"no sensor of its area reads {self.unread_names}; the mode 'paper' has no equation for that: add them, "
-                "or use the mode 'corrected'"
-            )
-        if mode not in self._arrays:
-            at = self.network.topology
-            sent = np.where(self.unread[at.neighbour, 0], 0.0, self.noise[at.neighbour, 0])
-            self._arrays[mode] = AreaArrays.without_terms(
-                self.matrices, self.slope, self.network.closed, self.process_variance, self.noise,
-                np.where(self.received, sent, self.shared_noise) if self.partly_read else self.shared_noise, self.received,
-                at.start, at.opposite, at.neighbour,
-            )  # fmt: skip
-        return self._arrays[mode]
+    @cached_property
+    def arrays(self) -> AreaArrays:
+        """The arrays for compiled steps; not copies."""
+        at = self.network.topology
+        sent = np.where(self.unread[at.neighbour, 0], 0.0, self.noise[at.neighbour, 0])
+        return AreaArrays(
+            self.matrices, self.slope, self.network.closed, self.process_variance, self.noise,
+            np.where(self.received, sent, self.shared_noise) if self.partly_read else self.shared_noise, self.received,
+            at.start, at.opposite, at.neighbour,
+        )  # fmt: skip
 
     def state_name(self, area: int, state: int) -> str:
         """The name of a state, also of areas without names.
@@ -222,21 +186,6 @@ class Areas:
             f"{self.state_name(int(at.neighbour[s]), 0)} at {at.names[at.node[s]]}" for s in np.flatnonzero(self.received)
         ]
         return ", ".join(where[:FEW]) + (f", ... ({len(where)} in all)" if len(where) > FEW else "")
-
-    @cached_property
-    def _arrays(self) -> dict[str, AreaArrays]:
-        return {}
-
-    def forget(self, areas: Array) -> None:
-        """Let steps compute anew what they keep of some areas: call it after their arrays have been changed in place.
-
-        Parameters
-        ----------
-        areas : array (M,) of int
-            Their positions.
-        """
-        for kept in self._arrays.values():
-            kept.known[areas] = False
 
     def place(self, measures: str, owner: str) -> int:
         """Position of a sensor among the N n own readings and 2E shared ones.

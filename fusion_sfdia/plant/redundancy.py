@@ -69,11 +69,6 @@ def redundancy(plant: Plant) -> Redundancy:
     return Redundancy(max((seen - 1) // 2, 1), reason if seen else reason.replace(" only", ""), modes)
 
 
-def why_no_more(plant: Plant, max_faults: int | None) -> str:
-    """What sets the number of sensors that can be isolated at once: a setting max_faults, or the plant."""
-    return redundancy(plant).reason if max_faults is None else "as max_faults states"
-
-
 def most_faults(plant: Plant) -> int:
     """Return the number of sensors that may be left out together, see `redundancy`."""
     return redundancy(plant).faults

@@ -14,10 +14,11 @@ from threadpoolctl import threadpool_limits
 
 from fusion_sfdia.common.run_statistics import Estimate, proportion, rate_over_runs
 from fusion_sfdia.detectors.detector import Decision, Detector, of_run
-from fusion_sfdia.diagnosis.diagnose import DiagnosisWarning, concluded, decided, diagnose_run
+from fusion_sfdia.diagnosis.diagnose import SECONDS, DiagnosisWarning, decided
 from fusion_sfdia.diagnosis.events import Event
-from fusion_sfdia.diagnosis.lag import explained_by_lag
-from fusion_sfdia.plant.gaps import Gap, Track, bridged
+from fusion_sfdia.diagnosis.prepared import Prepared, prepared
+from fusion_sfdia.logs.loaded_log import LoadedLog
+from fusion_sfdia.plant.gaps import bridged
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.results import Row, row_of
 from fusion_sfdia.study.error_protocol import GROUPS, STEPS, Case, ErrorTrial, cases_for, trial
@@ -78,7 +79,7 @@ class CaseResult(NamedTuple):
 def outcomes(
     detector: Detector, case: Case, seeds: Sequence[int], steps: int = STEPS, plant: Plant | None = None
 ) -> tuple[list[TrialOutcome], str]:
-    """Diagnose the trials of a case: the detector steps through all of them at once, then each is judged on its own.
+    """Diagnose the trials of a case as `diagnose` does: those of one detector are stepped through at once, then each is judged.
 
     The trials have the same times. A trial whose truth leaves the limits of the plant is left out, and the text says why.
     plant: of which the trials are, where it is not the detector's, which may be tuned to it.
@@ -91,38 +92,42 @@ def outcomes(
             why = str(error)
     if not trials:
         return [], why
-    tracks = [bridged(detector.plant, made.log) for made in trials]
-    first = tracks[0][0]
-    batch = first._replace(
-        y=np.stack([track.y for track, _ in tracks], axis=1), u=np.stack([track.u for track, _ in tracks], axis=1)
-    )
+    logs = [prepared(detector, LoadedLog(made.log, SECONDS, ())) for made in trials]
     with warnings.catch_warnings(), threadpool_limits(1):
         warnings.simplefilter("ignore", DiagnosisWarning)
-        together = decided(detector, batch, iter)
-        return [
-            judged_trial(detector, case, made, track, gaps, of_run(together, b))
-            for b, (made, (track, gaps)) in enumerate(zip(trials, tracks, strict=True))
-        ], why
+        decisions = _decisions(logs)
+        return [judged_trial(case, *one) for one in zip(trials, logs, decisions, strict=True)], why
 
 
-def judged_trial(
-    detector: Detector, case: Case, made: ErrorTrial, track: Track, gaps: tuple[Gap, ...], decisions: Decision
-) -> TrialOutcome:
-    """What the decisions on a trial are worth; events, which take a second look at the readings, only where something is
-    isolated or the process is named.
+def _decisions(logs: Sequence[Prepared]) -> list[Decision]:
+    """The decisions on each log; a detector steps through all of its logs, which have the same times, at once."""
+    found: dict[int, Decision] = {}
+    for detector in {id(one.detector): one.detector for one in logs}.values():
+        own = [k for k, one in enumerate(logs) if one.detector is detector]
+        tracks = [bridged(detector.plant, logs[k].log)[0] for k in own]
+        y, u = (np.stack([getattr(track, what) for track in tracks], axis=1) for what in ("y", "u"))
+        together = decided(detector, tracks[0]._replace(y=y, u=u), iter)
+        found |= {k: of_run(together, b) for b, k in enumerate(own)}
+    return [found[k] for k in range(len(logs))]
+
+
+def judged_trial(case: Case, made: ErrorTrial, log: Prepared, decisions: Decision) -> TrialOutcome:
+    """What the diagnosis of a trial is worth, given the decisions on its log. Without anything isolated, named or suspected it
+    is healthy, and the second look at the readings is left out.
     """
-    plant, (log, faulty, process) = detector.plant, made
+    plant, (_, faulty, process) = log.detector.plant, made
+    events: tuple[Event, ...] = ()
+    if any(held is not None and np.any(held) for held in (decisions.isolated, decisions.process, decisions.suspect)):
+        found, _ = log.diagnose(decisions=decisions)
+        events, decisions = found.events, found.decisions
     isolated = decisions.isolated[:, : len(plant.sensors)]
     named, suspected = (
         np.zeros(len(faulty), bool) if held is None else held.any(axis=-1) for held in (decisions.process, decisions.suspect)
     )
-    events: tuple[Event, ...] = ()
-    if np.any(isolated) or np.any(named):
-        found = concluded(detector, log, track, gaps, decisions)
-        events = explained_by_lag(detector, log, found, partial(diagnose_run, detector))[0].events
+    suspected = suspected | bool(log.suspects)
 
     def faulty_between(start: float, end: float) -> set[str]:
-        fails = np.any(faulty[(log.t >= start) & (log.t <= end)], axis=0)
+        fails = np.any(faulty[(made.log.t >= start) & (made.log.t <= end)], axis=0)
         return {plant.sensor_names[i] for i in np.flatnonzero(fails)}
 
     cause = faulty.any(axis=-1) | process

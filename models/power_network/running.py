@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from fusion_sfdia.detectors.stochastic_thresholds.consensus_equations import Terms
+from fusion_sfdia.detectors.stochastic_thresholds.network_step import terms_of, update_terms
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import NetworkModel
 from fusion_sfdia.plant.areas import Areas
@@ -18,7 +20,8 @@ class RunningNetwork:
 
     Elsewhere a change gives a new model and keeps the old one, at the cost of a copy. Here no copy is made: for networks
     whose copies take longer than a step. The model that it is made from does not change.
-    areas: the diagnosers' model, without names of their states; the same arrays, so it is always up to date.
+    areas: the diagnosers' model, without names of their states; the same arrays, so it is always up to date. terms: those of
+    its areas in the mode "corrected", for `network_step`; up to date, too.
     """
 
     def __init__(self, model: NetworkModel) -> None:
@@ -26,6 +29,7 @@ class RunningNetwork:
         network.plugged.flags.writeable = True  # a copy that only this object holds
         self._model = replace(model, network=network, area=model.area.copy(), side_slope=model.side_slope.copy())
         self.areas: Areas = network_areas(self._model, named=False)
+        self.terms: Terms = terms_of(self.areas.arrays)
 
     @property
     def model(self) -> NetworkModel:
@@ -46,5 +50,5 @@ class RunningNetwork:
         now.area[change.touched] = now.rows(change.touched)
         theirs, _ = network.topology.sides(change.touched)
         self.areas.shared_gain[network.topology.opposite[theirs]] = now.area[network.topology.node[theirs], 0, 0]
-        self.areas.forget(change.touched)
+        update_terms(self.terms, self.areas.arrays, change.touched)
         return change

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fusion_sfdia import Plant, audit, check_plant, diagnose, simulate
+from fusion_sfdia import Plant, audit, check_plant, diagnose, run, simulate
 from fusion_sfdia.detectors import LeaveOneOutBank, registry
 from fusion_sfdia.plants import random_plant, two_tanks
 from fusion_sfdia.study.audit import GRACE, KINDS, lasting, outcomes, result_of
@@ -80,6 +80,17 @@ def test_the_events_of_a_trial_are_those_of_a_diagnosis_of_its_log() -> None:
         events = [e for e in diagnose(detector, log).events if e.kind == "sensor" and np.isfinite(e.confidence)]
         assert [c for c, _ in outcome.events] == pytest.approx([e.confidence for e in events])
         assert bool(events) is (name == "bias-10")
+
+
+def test_a_trial_is_judged_as_a_diagnosis_of_its_log() -> None:
+    """Readings in steps of 3 sigma, of which a diagnosis takes the rounding for noise: no sensor is isolated for it."""
+    detector, case = registry.detector("loo-glr", two_tanks()), BY_NAME["steps-3"]
+    logs = [trial(detector.plant, case, seed).log for seed in (0, 1)]
+    raw = [run(detector, detector.init(t=-detector.plant.dt), log)[1].isolated for log in logs]
+    found = [diagnose(detector, log).decisions.isolated for log in logs]
+    assert sum(map(np.sum, raw)) > 0
+    judged, _ = outcomes(detector, case, (0, 1))
+    assert [o.counts[0] for o in judged] == [np.any(isolated, axis=-1).sum() for isolated in found]
 
 
 def test_a_trial_outside_the_limits_of_the_plant_is_left_out_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import shown, whole
-from fusion_sfdia.detectors.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.detectors.batch_detector import IsolatingDetector, TimeStep
 from fusion_sfdia.detectors.data_driven.component_model import ComponentModel, Reconstruction
 from fusion_sfdia.detectors.data_driven.healthy_limits import without_model
 from fusion_sfdia.detectors.detector import Decision, require_no_cycles
 from fusion_sfdia.plant.plant import Plant
-from fusion_sfdia.plant.redundancy import why_no_more
 
 Array = NDArray[Any]
 
@@ -27,7 +26,7 @@ class LaggedReadings(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class ReconstructionDetector(BatchDetector):
+class ReconstructionDetector(IsolatingDetector):
     """A detector with a statistic of windows of present and lagged readings; an alarm is an `excess` above 1.
 
     After an alarm the sensors of the largest contribution are reconstructed one by one, at most max_faults, until the statistic
@@ -53,14 +52,6 @@ class ReconstructionDetector(BatchDetector):
     @abstractmethod
     def excess(self, found: Reconstruction) -> Array:
         """The root of the statistic over its limit (B,), without threshold_scale."""
-
-    def why_no_more(self) -> str:
-        return why_no_more(self.plant, self.max_faults)
-
-    @property
-    def most_faults(self) -> int:
-        """How many sensors are reconstructed at most."""
-        return self.max_faults
 
     def with_sensors_of(self, plant: Plant) -> Self:
         """The detector itself: what it learnt from healthy readings stays; NotApplicableError for cyclic ones."""

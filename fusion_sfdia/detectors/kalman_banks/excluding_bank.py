@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import cached_property
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import probability
-from fusion_sfdia.detectors.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.detectors.batch_detector import AccommodatingDetector, TimeStep
 from fusion_sfdia.detectors.detector import Decision
 from fusion_sfdia.detectors.exclusion import Exclusion, exclude, readmit, restored
 from fusion_sfdia.detectors.health import broken
@@ -19,7 +17,7 @@ from fusion_sfdia.filters.estimators import Estimator, Prior, require_consistent
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.filters.sparse import variances
 from fusion_sfdia.plant.plant import Plant
-from fusion_sfdia.plant.redundancy import most_faults, redundancy, require_max_faults, why_no_more
+from fusion_sfdia.plant.redundancy import redundancy, require_max_faults
 
 Array = NDArray[Any]
 
@@ -63,32 +61,17 @@ def least_change(H: Array, scale: Array) -> Array:
     return np.asarray(scaled / np.where(shown > 0, shown, 1.0))
 
 
-class ExcludingBank(BatchDetector):
+class ExcludingBank(AccommodatingDetector):
     """A bank with these settings; each bank declares them with its own defaults and documents them."""
 
     estimator: Estimator
     false_alarm: float
-    max_faults: int | None
-    accommodate: bool
 
     def __post_init__(self) -> None:
         super().__post_init__()
         require_consistent(self.estimator)
         probability("false_alarm", self.false_alarm)
         require_max_faults(self.plant, self.max_faults)
-
-    def watching(self) -> Self:
-        settings: Any = self  # a dataclass in each bank
-        quiet: Self = replace(settings, accommodate=False)
-        return quiet
-
-    def why_no_more(self) -> str:
-        return why_no_more(self.plant, self.max_faults)
-
-    @cached_property
-    def most_faults(self) -> int:
-        """How many sensors may be excluded at once."""
-        return self.max_faults or most_faults(self.plant)
 
     @property
     def filter_model(self) -> Plant:

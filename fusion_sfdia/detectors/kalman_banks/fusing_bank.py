@@ -30,11 +30,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.alike import repeated, single
-from fusion_sfdia.common.arguments import floats, shown, whole
+from fusion_sfdia.common.arguments import floats, shown
 from fusion_sfdia.common.errors import NotApplicableError
 from fusion_sfdia.common.order_statistics import order_statistic
 from fusion_sfdia.common.warned import warn
-from fusion_sfdia.detectors.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.detectors.batch_detector import AccommodatingDetector, TimeStep
 from fusion_sfdia.detectors.detector import Decision, run
 from fusion_sfdia.detectors.health import broken
 from fusion_sfdia.detectors.kalman_banks import mixing
@@ -63,7 +63,7 @@ from fusion_sfdia.filters.estimators import (
 )
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.plant.plant import Plant
-from fusion_sfdia.plant.redundancy import why_no_more
+from fusion_sfdia.plant.redundancy import require_max_faults
 
 Array = NDArray[Any]
 
@@ -93,7 +93,7 @@ class Local(NamedTuple):
 
 
 @dataclass(frozen=True)
-class FusingBank(BatchDetector):
+class FusingBank(AccommodatingDetector):
     """N local filters, the i-th without sensor i, mixed and fed back (Shaheen 2024, sec. III).
 
     Parameters
@@ -160,8 +160,7 @@ class FusingBank(BatchDetector):
         n, count = len(self.plant.states), len(self.plant.sensors)
         if count < 2:
             raise NotApplicableError(f"plant {self.plant.name!r} has {count} sensors; leaving one out takes at least 2")
-        if not whole("max_faults", self.max_faults, least=1) < count:
-            raise ValueError(f"max_faults is {self.max_faults}; expected fewer than the {count} sensors")
+        require_max_faults(self.plant, self.max_faults)
         for what, expected in (("beta", count), ("thresholds", count), ("residual_scale", n)):
             if getattr(self, what) is None:
                 continue
@@ -260,17 +259,6 @@ class FusingBank(BatchDetector):
             largest = np.nanmax(np.where(np.isfinite(residual[:, members]), residual[:, members], -np.inf), axis=1)
             thresholds[members] = order_statistic(largest, share)
         return replace(self, thresholds=tuple(thresholds.tolist()), threshold_scale=1.0, settle=settle, fitted_rate=false_alarm)
-
-    def watching(self) -> Self:
-        return replace(self, accommodate=False)
-
-    def why_no_more(self) -> str:
-        return why_no_more(self.plant, self.max_faults)
-
-    @property
-    def most_faults(self) -> int:
-        """How many sensors may be isolated in a step."""
-        return self.max_faults
 
     def _start(self, batch: tuple[int, ...], seed: int) -> Core:
         """The core of the filter, with an axis N after the batch when literal."""

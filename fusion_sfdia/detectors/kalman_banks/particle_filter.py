@@ -13,16 +13,15 @@ is then 2.4 times that of a Kalman filter, and 3.5 times its own standard deviat
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, NamedTuple, Self
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from fusion_sfdia.common.arguments import probability, whole
-from fusion_sfdia.detectors.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.detectors.batch_detector import AccommodatingDetector, TimeStep
 from fusion_sfdia.detectors.detector import Decision
 from fusion_sfdia.detectors.health import broken
 from fusion_sfdia.filters import particle
@@ -30,7 +29,7 @@ from fusion_sfdia.filters.estimators import require_none_considered, step_stream
 from fusion_sfdia.filters.gaussian import add, whiten
 from fusion_sfdia.filters.guarded_steps import guarded_points, readings_of_points
 from fusion_sfdia.filters.particle import Particles
-from fusion_sfdia.plant.redundancy import most_faults, require_max_faults, why_no_more
+from fusion_sfdia.plant.redundancy import require_max_faults
 
 Array = NDArray[Any]
 
@@ -43,7 +42,7 @@ class LeaveOneOutResiduals(NamedTuple):
 
 
 @dataclass(frozen=True)
-class ParticleFilter(BatchDetector):
+class ParticleFilter(AccommodatingDetector):
     """Residual: a reading less its mean over the particles weighted by all other readings. Threshold: its standard deviation
     times a normal quantile at the probability `false_alarm` per step over all sensors (Bonferroni); only nominal where its
     distribution is far from normal. The sensor with the largest ratio is isolated and left out, until no ratio exceeds 1.
@@ -121,17 +120,6 @@ class ParticleFilter(BatchDetector):
     @property
     def _alpha(self) -> float:
         return float(-ndtri(self.false_alarm / len(self.plant.sensors) / 2)) * self.threshold_scale
-
-    def watching(self) -> Self:
-        return replace(self, accommodate=False)
-
-    def why_no_more(self) -> str:
-        return why_no_more(self.plant, self.max_faults)
-
-    @cached_property
-    def most_faults(self) -> int:
-        """How many sensors may be isolated in a step."""
-        return self.max_faults or most_faults(self.plant)
 
     def _eliminated(self, cloud: Particles, predicted: Array, y: Array) -> tuple[LeaveOneOutResiduals, Array, Array]:
         """The leave-one-out residuals of all readings, the isolated sensors (..., N), and whether another exceeds its threshold

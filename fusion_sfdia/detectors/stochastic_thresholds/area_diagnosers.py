@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.common.covariance import dense, diagonal
 from fusion_sfdia.detectors.batch_detector import TimeStep
-from fusion_sfdia.detectors.stochastic_thresholds.consensus import Diagnosers, Prediction, initial_state, predict, take
+from fusion_sfdia.detectors.stochastic_thresholds.consensus import (
+    Diagnosers,
+    Prediction,
+    initial_state,
+    predict,
+    require_mode,
+    take,
+)
 from fusion_sfdia.detectors.stochastic_thresholds.consensus_equations import UNKNOWN
 from fusion_sfdia.detectors.stochastic_thresholds.present_readings import PredictedReadings, Taken
 from fusion_sfdia.detectors.stochastic_thresholds.unread_states import require_estimable
@@ -52,7 +59,7 @@ class AreaDiagnosers:
             noise = np.where(own > 0, self.areas.noise, np.inf)
             shared_noise = np.where(shared > 0, self.areas.shared_noise, np.inf)
             object.__setattr__(self, "areas", replace(self.areas, noise=noise, shared_noise=shared_noise))
-            self.areas.arrays(self.mode)
+            require_mode(self.areas, self.mode)
             require_estimable(self.areas)
 
     @cached_property

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import floats, number, shown, whole
-from fusion_sfdia.detectors.batch_detector import BatchDetector, TimeStep, without_false_alarms
+from fusion_sfdia.detectors.batch_detector import AccommodatingDetector, TimeStep, without_false_alarms
 from fusion_sfdia.detectors.detector import Decision, run
 from fusion_sfdia.detectors.exclusion import Exclusion, exclude, none_excluded, readmit, restored
 from fusion_sfdia.detectors.stochastic_thresholds.area_diagnosers import AreaDiagnosers
@@ -37,7 +37,7 @@ from fusion_sfdia.detectors.stochastic_thresholds.threshold_rules import (
 )
 from fusion_sfdia.filters.estimators import Estimator, Unscented, require_filter
 from fusion_sfdia.filters.ukf import SigmaPoints
-from fusion_sfdia.plant.redundancy import most_faults, require_max_faults, why_no_more
+from fusion_sfdia.plant.redundancy import require_max_faults
 
 Array = NDArray[Any]
 
@@ -61,7 +61,7 @@ class ChebyshevMemory(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Chebyshev(BatchDetector):
+class Chebyshev(AccommodatingDetector):
     """Stochastic thresholds; hypotheses are the sensors.
 
     Parameters
@@ -225,17 +225,6 @@ class Chebyshev(BatchDetector):
         if given.shape not in {(1,), (count,)}:
             raise ValueError(f"alpha has shape {given.shape}; expected one number or one for each of {count} sensors")
         return np.broadcast_to([require_alpha(self.rule, a) for a in given], (count,)).astype(float)
-
-    def watching(self) -> Self:
-        return replace(self, accommodate=False)
-
-    def why_no_more(self) -> str:
-        return why_no_more(self.plant, self.max_faults)
-
-    @cached_property
-    def most_faults(self) -> int:
-        """How many sensors may be left out at once."""
-        return self.max_faults or most_faults(self.plant)
 
     @property
     def limits(self) -> Array:

@@ -20,6 +20,7 @@ from fusion_sfdia.plant.areas import Areas
 Array = NDArray[Any]
 MODES = ("corrected", "paper")
 NO_COVARIANCE = np.empty((1, 0, 0))  # of areas that read all their states
+NO_TERMS = equations.Terms(np.empty((0, 0)), np.empty((0, 0)))  # a step then computes them
 
 
 class Diagnosers(NamedTuple):
@@ -99,10 +100,20 @@ def initial_state(areas: Areas, batch: tuple[int, ...]) -> Diagnosers:
     return Diagnosers(own, shared, *unknown, own.copy(), shared.copy(), own.copy(), shared.copy(), covariance)
 
 
-def predict(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: float, mode: str) -> Prediction:
-    """Return estimates and deviations for the next readings, under reference and load (B, N); batches are broadcast."""
+def require_mode(areas: Areas, mode: str) -> None:
+    """ValueError for an unknown mode, and for "paper" where a state is not read."""
     if mode not in MODES:
         raise ValueError(f"mode is {mode!r}; known: {', '.join(MODES)}")
+    if mode == "paper" and areas.partly_read:
+        raise ValueError(
+            f"no sensor of its area reads {areas.unread_names}; the mode 'paper' has no equation for that: add them, "
+            "or use the mode 'corrected'"
+        )
+
+
+def predict(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: float, mode: str) -> Prediction:
+    """Return estimates and deviations for the next readings, under reference and load (B, N); batches are broadcast."""
+    require_mode(areas, mode)
     count, n, sides = areas.size
     of_areas, of_sides, inputs = now.own, now.shared, (reference, load)
     batch = np.broadcast_shapes(*{a.shape[:-2] for a in of_areas}, *{a.shape[:-1] for a in (*of_sides, *inputs)})
@@ -113,8 +124,8 @@ def predict(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: f
     found = Diagnosers._make(map(np.empty_like, known))
     none = np.empty((0, count, n)), np.empty((0, sides))
     equations.step_areas(
-        known, _flat(reference, batch, (count,)), _flat(load, batch, (count,)), lam, mode == "paper", areas.arrays(mode), 1.0,
-        *none, found, np.empty((len(own[0]), count), bool),
+        known, _flat(reference, batch, (count,)), _flat(load, batch, (count,)), lam, mode == "paper", areas.arrays, NO_TERMS,
+        1.0, *none, found, np.empty((len(own[0]), count), bool),
     )  # fmt: skip
     after = Diagnosers._make(a.reshape(*batch, *a.shape[1:]) for a in found)
     return Prediction(
@@ -144,7 +155,7 @@ def take(areas: Areas, predicted: Prediction, own: Array, shared: Array) -> Diag
     if areas.partly_read:
         flat, shape = Diagnosers._make(x.reshape(prod(batch), *x.shape[len(batch) :]) for x in after), own.shape[-2:]
         given = _flat(own, batch, shape), _flat(predicted.ahead, batch, shape).copy()
-        equations.take_unread(areas.arrays("corrected"), *given, flat)
+        equations.take_unread(areas.arrays, *given, flat)
     return after
 
 

@@ -63,7 +63,7 @@ opposite[side] of the closed sides of i.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -124,24 +124,30 @@ def residual_deviation(memory: Any, variance: Any, process_variance: Any, noise:
     return memory + np.sqrt(variance + process_variance + noise) + error_bound
 
 
-# Weights and deviations depend on the readings only by which are missing, so those of areas that miss none are kept from step
-# to step. Arguments have the names and shapes of consensus.Diagnosers and areas.AreaArrays.
+# Weights and deviations depend on the readings only by which are missing: those of areas that miss none depend on the areas
+# alone. Arguments have the names and shapes of consensus.Diagnosers and areas.AreaArrays.
+
+
+class Terms(NamedTuple):
+    """Weights and deviations of areas, in the mode in which they were computed.
+
+    of_areas (N, 1 + 2 n): the weight of an area's own copy of z_i, then what a step adds to lam s for the residuals of its n
+    states, and for the errors of their estimates. of_sides (2E, 2): the weight of the neighbour's copy, and what a step adds
+    for its residual.
+    """
+
+    of_areas: Any
+    of_sides: Any
 
 
 @equation
-def find_terms(b: Any, i: Any, now: Any, printed: Any, areas: Any, row: Any, shift: Any) -> None:
-    """Write weights and deviations of area i to area_terms[row] and, for each side, to side_terms[side + shift].
+def find_terms(b: Any, i: Any, now: Any, printed: Any, areas: Any, terms: Any, row: Any, shift: Any) -> None:
+    """Write weights and deviations of area i to terms.of_areas[row] and, for each side, to terms.of_sides[side + shift].
 
-    In area_terms are the weight of its own copy of z_i, then what a step adds to lam s for the residuals of its n states, and
-    for the errors of their estimates; in side_terms the weight of the neighbour's copy, and what a step adds for its residual.
-    now: Diagnosers; areas: AreaArrays.
+    now: Diagnosers, of which error bounds are used; areas: AreaArrays.
     """
-    error_bound, error_bound_shared, area_terms, side_terms = (
-        now.error_bound,
-        now.error_bound_shared,
-        areas.area_terms,
-        areas.side_terms,
-    )
+    error_bound, error_bound_shared = now.error_bound, now.error_bound_shared
+    area_terms, side_terms = terms
     matrices, slope, closed, process_variance, noise, shared_noise, received, start, opposite = areas[:9]
     n = error_bound.shape[2]
     inflow_variance, inflow_bound = 0.0, 0.0
@@ -198,14 +204,10 @@ def find_terms(b: Any, i: Any, now: Any, printed: Any, areas: Any, row: Any, shi
 
 
 @compiled
-def find_partly_terms(b: Any, i: Any, now: Any, areas: Any, row: Any, shift: Any, M: Any) -> None:
+def find_partly_terms(b: Any, i: Any, now: Any, areas: Any, terms: Any, row: Any, shift: Any, M: Any) -> None:
     """As find_terms, of an area that does not read all its states; also write M (n, n), or its bound."""
-    error_bound_shared, covariance, area_terms, side_terms = (
-        now.error_bound_shared,
-        now.covariance,
-        areas.area_terms,
-        areas.side_terms,
-    )
+    error_bound_shared, covariance = now.error_bound_shared, now.covariance
+    area_terms, side_terms = terms
     matrices, slope, closed, process_variance, noise, shared_noise, received, start, opposite = areas[:9]
     n = noise.shape[1]
     own = 1.0 / max(covariance[b, i, 0, 0], 1.0 / UNKNOWN)
@@ -313,38 +315,53 @@ def take_readings(y: Any, held: Any, error_bound: Any, residual: Any, s: Any) ->
 
 
 @compiled
+def write_terms(which: Any, exact: Any, printed: Any, areas: Any, terms: Any) -> None:
+    """Write the terms of some areas (M,) that miss no reading to `terms`; exact: Diagnosers (1, ...) whose error bounds are 0.
+
+    Terms of areas with unread states change from step to step; nothing is written of them.
+    """
+    for i in which:
+        if np.all(np.isfinite(areas.noise[i])):
+            find_terms(0, i, exact, printed, areas, terms, i, 0)
+
+
+@compiled
 def step_areas(
-    now: Any, reference: Any, load: Any, lam: Any, printed: Any, areas: Any, alpha: Any, own: Any, shared: Any, after: Any,
-    alarm: Any,
+    now: Any, reference: Any, load: Any, lam: Any, printed: Any, areas: Any, known: Any, alpha: Any, own: Any, shared: Any,
+    after: Any, alarm: Any,
 ) -> Any:  # fmt: skip
     """Write the diagnosers after the readings own (B, N, n) and shared (B, 2E), under reference and load (B, N).
 
-    now, after: Diagnosers; areas: AreaArrays. Without readings, given by arrays of no runs, what is written are estimates,
-    error bounds, f(x_bar) of areas with unread states, deviations of the next ones, and M. printed: (15), (17) as printed.
+    now, after: Diagnosers; areas: AreaArrays. known: the Terms of areas that miss no reading, or those of no areas, and then
+    they are computed. Without readings, given by arrays of no runs, what is written are estimates, error bounds, f(x_bar) of
+    areas with unread states, deviations of the next ones, and M. printed: (15), (17) as printed.
     alarm (B, N + K), False before: whether |residual| > alpha deviation for any reading of an area, own or of a neighbour's
     first state; K columns for the copies behind the sides of the N areas, each read in another part. All copies of z_i are
     treated with area i: it needs the copies at its sides and at the opposite sides, and writes the latter. Returns whether the
     shapes fit; if they do not, nothing is written.
     """
     held, held_shared, error_bound, error_bound_shared, residual, residual_shared, deviation, deviation_shared, covariance = now
-    matrices, slope, closed, _, noise, _, received, start, opposite, reader, known, area_terms, side_terms = areas
+    matrices, slope, closed, _, noise, _, received, start, opposite, reader = areas
     h, h_shared, d, d_shared, e, e_shared, s, s_shared, covariance_after = after
     runs, count, n = held.shape
     read = own.shape[0] > 0
-    given = held_shared.shape == shared.shape and held.shape == own.shape
-    fits = (given or not read) and matrices.shape[:2] == (count, n) and held_shared.shape == (runs, slope.size)
+    fits = not read or (held_shared.shape == shared.shape and held.shape == own.shape)
+    fits &= matrices.shape[:2] == (count, n) and held_shared.shape == (runs, slope.size)
     fits &= reference.shape == load.shape == (runs, count)
     fits &= error_bound.shape == residual.shape == deviation.shape == h.shape == d.shape == e.shape == s.shape == held.shape
     fits &= error_bound_shared.shape == residual_shared.shape == deviation_shared.shape == held_shared.shape
     fits &= h_shared.shape == d_shared.shape == e_shared.shape == s_shared.shape == held_shared.shape
     some = covariance.shape[2] > 0  # whether any state is not read
     fits &= covariance.shape == covariance_after.shape and (not some or covariance.shape == (runs, count, n, n))
+    given = known.of_areas.shape[0] > 0
+    fits &= not given or (known.of_areas.shape == (count, 1 + 2 * n) and known.of_sides.shape[0] == start[count])
     if not fits:
         return False
-    ahead = np.zeros(n)
+    area_terms, side_terms, ahead = np.empty((1, 1 + 2 * n)), np.empty((np.max(np.diff(start)), 2)), np.zeros(n)
+    here = Terms(area_terms, side_terms)
     for b in range(runs):
         for i in range(count):
-            first, past, row, shift = start[i], start[i + 1], i, 0
+            first, past = start[i], start[i + 1]
             partly = some and not np.all(np.isfinite(noise[i]))
             inflow, complete = 0.0, not partly  # complete: all values used of the states of the area and of its neighbours
             for c in range(n):
@@ -353,15 +370,18 @@ def step_areas(
                 if closed[side]:
                     inflow += slope[side] * held_shared[b, side]
                     complete &= error_bound_shared[b, side] == 0.0 and error_bound_shared[b, opposite[side]] == 0.0
-            if not complete:
-                row, shift = count, start[count] - first  # behind the terms of all areas
             if partly:
-                find_partly_terms(b, i, now, areas, row, shift, covariance_after[b, i])
-            elif some:
+                find_partly_terms(b, i, now, areas, here, 0, -first, covariance_after[b, i])
+            elif complete and given:
+                for c in range(1 + 2 * n):
+                    area_terms[0, c] = known.of_areas[i, c]
+                for side in range(first, past):
+                    side_terms[side - first, 0] = known.of_sides[side, 0]
+                    side_terms[side - first, 1] = known.of_sides[side, 1]
+            else:
+                find_terms(b, i, now, printed, areas, here, 0, -first)
+            if some and not partly:
                 covariance_after[b, i] = 0.0
-            if not partly and not (complete and known[i]):
-                find_terms(b, i, now, printed, areas, row, shift)
-                known[i] |= complete
             drive, crossed = 0.0, False
             for r in range(n):
                 value = matrices[i, r, n] * reference[b, i] + matrices[i, r, n + 1] * (inflow - load[b, i])
@@ -374,25 +394,25 @@ def step_areas(
                 memory = lam * deviation[b, i, r]
                 x = (
                     private_term(value, residual[b, i, r], lam),
-                    0.0 if partly else min(memory + area_terms[row, 1 + n + r], UNKNOWN),
+                    0.0 if partly else min(memory + area_terms[0, 1 + n + r], UNKNOWN),
                     0.0,
-                    (memory + area_terms[row, 1 + r]),
+                    (memory + area_terms[0, 1 + r]),
                 )
                 if read:
                     x = taken(own[b, i, r], x[0], x[1], x[3])
                 h[b, i, r], d[b, i, r], e[b, i, r], s[b, i, r] = x
                 crossed |= abs(x[2]) > alpha * x[3]
-            a, W = matrices[i, 0, 0], area_terms[row, 0]
+            a, W = matrices[i, 0, 0], area_terms[0, 0]
             agreed, memory = 0.0, 0.0
             for side in range(first, past):
                 if closed[side]:
-                    k, W_k = opposite[side], side_terms[side + shift, 0]
+                    k, W_k = opposite[side], side_terms[side - first, 0]
                     agreed += W_k * shared_term(held_shared[b, k], drive, residual_shared[b, k], a, lam)
                     memory += W_k * deviation_shared[b, k]
             agreed += W * shared_term(held[b, i, 0], drive, residual[b, i, 0], a, lam)
             memory = lam * (W * deviation[b, i, 0] + memory)
-            bound = min(memory + area_terms[row, 1 + n], UNKNOWN)
-            x = agreed, 0.0 if partly else bound, 0.0, memory + area_terms[row, 1]
+            bound = min(memory + area_terms[0, 1 + n], UNKNOWN)
+            x = agreed, 0.0 if partly else bound, 0.0, memory + area_terms[0, 1]
             if read:
                 x = taken(own[b, i, 0], x[0], x[1], x[3])
             h[b, i, 0], d[b, i, 0], e[b, i, 0], s[b, i, 0] = x
@@ -403,7 +423,7 @@ def step_areas(
                 ahead[0] += W * a * held[b, i, 0]
                 for side in range(first, past):
                     if closed[side]:
-                        ahead[0] += side_terms[side + shift, 0] * a * held_shared[b, opposite[side]]
+                        ahead[0] += side_terms[side - first, 0] * a * held_shared[b, opposite[side]]
                 if read:
                     held_bound = estimate_unread(own[b, i], ahead, noise[i], h[b, i], covariance_after[b, i])
                 else:
@@ -412,7 +432,7 @@ def step_areas(
                 k = opposite[side]
                 x = held_shared[b, k], UNKNOWN, 0.0, UNKNOWN
                 if closed[side]:
-                    x = agreed, bound, 0.0, memory + side_terms[side + shift, 1]
+                    x = agreed, bound, 0.0, memory + side_terms[side - first, 1]
                 if read:
                     x = taken(shared[b, k], x[0], x[1], x[3])
                 h_shared[b, k], d_shared[b, k], e_shared[b, k], s_shared[b, k] = x

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.detectors.stochastic_thresholds import consensus_equations
 from fusion_sfdia.detectors.stochastic_thresholds.consensus import Diagnosers, NetworkReadings
+from fusion_sfdia.detectors.stochastic_thresholds.network_step import terms_of
 from fusion_sfdia.plant.areas import AreaArrays, Areas
 
 Array = NDArray[Any]
@@ -24,39 +25,27 @@ Array = NDArray[Any]
 class PartLayout(NamedTuple):
     """The network of a part, constant over time. All indices are local, except those in `areas` and `sides`.
 
-    matrices to opposite: as of AreaArrays, for M areas and their sides, then the K copies read in other parts. reader: the area
-    at the other end of each of their sides; M + k for the reader of copy k, which is in another part. border: local sides whose
-    neighbour is in another part, which sends their values. near: index of the first copy read in another part. areas: first and
-    past last area in the network. sides: indices in the network of the local sides.
+    arrays: of M areas and their sides, then of the K copies read in other parts; reader is M + k for that of copy k, which
+    is in another part. border: local sides whose neighbour is in another part, which sends their values. near: index of the
+    first copy read in another part. areas: first and past last area in the network. sides: indices in the network of the local
+    sides.
     """
 
-    matrices: Array
-    slope: Array
-    closed: Array
-    process_variance: Array
-    noise: Array
-    shared_noise: Array
-    received: Array
-    start: Array
-    opposite: Array
-    reader: Array
+    arrays: AreaArrays
     border: Array
     near: int
     areas: tuple[int, int]
     sides: Array
 
 
-def part_layouts(areas: Areas, parts: int, mode: str = "corrected") -> list[PartLayout]:
-    """Return the network in `parts` blocks of equal size; ValueError for less than one part or more parts than areas.
-
-    ValueError as of Areas.arrays, too.
-    """
+def part_layouts(areas: Areas, parts: int) -> list[PartLayout]:
+    """Return the network in `parts` blocks of equal size; ValueError for less than one part or more parts than areas."""
     count = areas.size[0]
     if not 1 <= parts <= count:
         raise ValueError(f"{count} areas cannot be shared by {parts} parts; expected 1 to {count}")
     at = areas.network.topology
     bounds = np.linspace(0, count, parts + 1).astype(np.int64)
-    whole = areas.arrays(mode)
+    whole = areas.arrays
     found = []
     for lo, hi in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
         first, past = int(at.start[lo]), int(at.start[hi])
@@ -66,14 +55,11 @@ def part_layouts(areas: Areas, parts: int, mode: str = "corrected") -> list[Part
         copy = np.cumsum(elsewhere) - 1
         opposite = np.where(elsewhere, past - first + copy, other - first)
         reader = np.where(elsewhere, hi - lo + copy, at.neighbour[first:past] - lo)
-        found.append(
-            PartLayout(
-                areas.matrices[lo:hi].copy(), areas.slope[sides], areas.network.closed[sides],
-                areas.process_variance[lo:hi].copy(), areas.noise[lo:hi].copy(), whole.shared_noise[sides],
-                whole.received[sides], at.start[lo : hi + 1] - first, opposite, reader, np.flatnonzero(elsewhere),
-                past - first, (lo, hi), sides,
-            )
-        )  # fmt: skip
+        of_areas = {k: getattr(whole, k)[lo:hi].copy() for k in ("matrices", "process_variance", "noise")}
+        of_sides = {k: getattr(whole, k)[sides] for k in ("slope", "closed", "shared_noise", "received")}
+        near = {"start": at.start[lo : hi + 1] - first, "opposite": opposite, "reader": reader}
+        arrays = AreaArrays(**of_areas, **of_sides, **near)
+        found.append(PartLayout(arrays, np.flatnonzero(elsewhere), past - first, (lo, hi), sides))
     return found
 
 
@@ -101,7 +87,7 @@ class Part:
     def __init__(self, layout: PartLayout, state: Diagnosers, alpha: float, lam: float, printed: bool) -> None:
         self.layout, self.alpha, self.lam, self.printed = layout, alpha, lam, printed
         self._now, self._before = state, Diagnosers(*map(np.zeros_like, state))
-        self._arrays = AreaArrays.without_terms(*layout[:10])
+        self._terms = terms_of(layout.arrays, "paper" if printed else "corrected")
 
     def step(self, received: Array, given: NetworkReadings) -> tuple[Array, Array, Array]:
         """Return alarms of its areas (B, M), alarms of the copies read in other parts (B, K), and the results for these (4, B,
@@ -114,11 +100,11 @@ class Part:
         for a, new in zip(state.shared, received, strict=True):
             a[:, b.border] = new
         after = self._before
-        count = len(b.matrices)
+        count = len(b.arrays.matrices)
         alarm = np.zeros((len(state.held), count + b.border.size), bool)
         consensus_equations.step_areas(
-            state, given.reference, given.load, self.lam, self.printed, self._arrays, self.alpha, given.own, given.shared,
-            after, alarm,
+            state, given.reference, given.load, self.lam, self.printed, b.arrays, self._terms, self.alpha, given.own,
+            given.shared, after, alarm,
         )  # fmt: skip
         self._now, self._before = after, state
         copies = np.stack([a[:, b.near :] for a in after.shared])

@@ -14,23 +14,39 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.derivatives.equation import plain
 from fusion_sfdia.detectors.stochastic_thresholds import consensus_equations
-from fusion_sfdia.detectors.stochastic_thresholds.consensus import MODES, Diagnosers, NetworkReadings
-from fusion_sfdia.plant.areas import Areas
+from fusion_sfdia.detectors.stochastic_thresholds.consensus import NO_TERMS, Diagnosers, NetworkReadings, require_mode
+from fusion_sfdia.detectors.stochastic_thresholds.consensus_equations import Terms
+from fusion_sfdia.plant.areas import AreaArrays, Areas
 
 Array = NDArray[Any]
 
 
+def terms_of(areas: AreaArrays, mode: str = "corrected") -> Terms:
+    """The terms of areas that miss no reading, which do not change from step to step; see `update_terms`."""
+    count, n, _ = areas.matrices.shape
+    terms = Terms(np.empty((count, 1 + 2 * n)), np.empty((int(areas.start[-1]), 2)))
+    update_terms(terms, areas, np.arange(count), mode)
+    return terms
+
+
+def update_terms(terms: Terms, areas: AreaArrays, changed: Array, mode: str = "corrected") -> None:
+    """Compute the terms of some areas (M,) anew, in place: after their arrays have been changed in place."""
+    count, n, _ = areas.matrices.shape
+    zero = np.broadcast_to(0.0, (1, count, n)), np.broadcast_to(0.0, (1, areas.slope.size))
+    consensus_equations.write_terms(changed, Diagnosers(*zero, *zero, *zero, *zero), mode == "paper", areas, terms)
+
+
 def network_step(
     areas: Areas, state: Diagnosers, given: NetworkReadings, alpha: float, lam: float, mode: str = "corrected",
-    out: Diagnosers | None = None,
+    out: Diagnosers | None = None, terms: Terms = NO_TERMS,
 ) -> tuple[Diagnosers, Array]:  # fmt: skip
     """Return the diagnosers of B runs after the next readings, and which areas have a residual beyond alpha deviations (B, N).
 
     out: diagnosers to be overwritten, such as those before `state`; without them a large network spends its time on memory
-    allocation. Raises ValueError for other shapes, an unknown mode, or an `out` that is the state itself.
+    allocation. terms: `terms_of(areas.arrays, mode)`, which a step of a large network takes half of its time to compute. Raises
+    ValueError for other shapes, an unknown mode, or an `out` that is the state itself.
     """
-    if mode not in MODES:
-        raise ValueError(f"mode is {mode!r}; known: {', '.join(MODES)}")
+    require_mode(areas, mode)
     own, shared, reference, load = map(plain, given)
     if out is None:
         out = Diagnosers(*map(np.empty_like, state))
@@ -38,7 +54,7 @@ def network_step(
     misread = len(own) != len(reference) or any(map(is_, state, out))  # without any readings the loop would only predict
     misread |= (state.covariance.shape[-1] > 0) != areas.partly_read
     if misread or not consensus_equations.step_areas(
-        state, reference, load, lam, mode == "paper", areas.arrays(mode), alpha, own, shared, out, alarm
+        state, reference, load, lam, mode == "paper", areas.arrays, terms, alpha, own, shared, out, alarm
     ):
         raise _misfit(areas, state, given, out)
     return out, alarm

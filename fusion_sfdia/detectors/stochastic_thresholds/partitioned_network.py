@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.detectors.stochastic_thresholds.consensus import MODES, Diagnosers, NetworkReadings
+from fusion_sfdia.detectors.stochastic_thresholds.consensus import Diagnosers, NetworkReadings, require_mode
 from fusion_sfdia.detectors.stochastic_thresholds.network_part import Part, PartLayout, at_borders, part_layouts, routes, share
 from fusion_sfdia.plant.areas import Areas
 
@@ -34,12 +34,11 @@ class PartitionedNetwork:
         self, client: Any, areas: Areas, state: Diagnosers, source: Source, alpha: float, lam: float, mode: str = "corrected",
         workers: Sequence[str] | None = None,
     ) -> None:  # fmt: skip
-        if mode not in MODES:
-            raise ValueError(f"mode is {mode!r}; known: {', '.join(MODES)}")
+        require_mode(areas, mode)
         where = list(client.scheduler_info(n_workers=-1)["workers"]) if workers is None else list(workers)
         if not where:
             raise ValueError("there is no worker for a part; start workers of this cluster or give their addresses")
-        self._parts = part_layouts(areas, len(where), mode)
+        self._parts = part_layouts(areas, len(where))
         self._routes = routes(self._parts)
         self._size = areas.size
         self._reader = areas.network.topology.node

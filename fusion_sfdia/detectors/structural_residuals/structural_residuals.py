@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.common.arguments import floats, probability, shown, whole
 from fusion_sfdia.common.errors import NotApplicableError
 from fusion_sfdia.common.order_statistics import order_statistic
-from fusion_sfdia.detectors.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.detectors.batch_detector import IsolatingDetector, TimeStep
 from fusion_sfdia.detectors.detector import Decision, check_reading
 from fusion_sfdia.detectors.state import mapped
 from fusion_sfdia.detectors.structural_residuals.selection import reads, selected
@@ -26,7 +26,6 @@ from fusion_sfdia.detectors.structural_residuals.sequences import Sequences
 from fusion_sfdia.detectors.structural_residuals.structure import Residual, modules_of
 from fusion_sfdia.logs.log_forms import as_log
 from fusion_sfdia.plant.plant import Plant
-from fusion_sfdia.plant.redundancy import why_no_more
 
 Array = NDArray[Any]
 
@@ -45,7 +44,7 @@ class StructuralMemory(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class StructuralResiduals(BatchDetector):
+class StructuralResiduals(IsolatingDetector):
     """Residuals of a plant that states its scalar equations, each with a limit, in standard deviations of its target's noise.
 
     A residual is computed when none of its readings is missing, and is CONTRADICTION where its equations have no value at them;
@@ -214,14 +213,6 @@ class StructuralResiduals(BatchDetector):
         found = np.full((len(variables), len(y)), np.nan)
         found[[variables.index(s.measures) for s in self.plant.sensors]] = (y / self.plant.sensor_scale).T
         return found
-
-    def why_no_more(self) -> str:
-        return why_no_more(self.plant, self.max_faults)
-
-    @property
-    def most_faults(self) -> int:
-        """How many sensors a diagnosis has at most."""
-        return min(self.max_faults, len(self.plant.sensors))
 
     def _start(self, batch: tuple[int, ...], seed: int) -> StructuralMemory:
         modules, n = modules_of(self.plant), self._nominal

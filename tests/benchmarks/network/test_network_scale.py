@@ -31,11 +31,10 @@ def test_each_size_has_its_times_and_its_memory() -> None:
         step, one = found[f"{areas} areas", "", "step_time"], found[f"one of {areas} areas", "", "step_time"]
         assert math.isclose(one.value * areas, step.value)
         # an area: model 4 x 6, its weight and deviations 1 + 2 x 4, readings and inputs 6, two states of 4 x 4, its start,
-        # whether its terms are known, alarm; a side: slope, weight and deviation, reading, two states of 4, its opposite and
-        # reader, whether it is closed; once: one start more, and the terms of an area that misses readings
-        at = network_scale.network_of(areas).network.topology
-        sides, room = at.node.size, 9 + 2 * int(np.diff(at.start).max())
-        expected = 8 * (areas * (24 + 9 + 6 + 32 + 1) + sides * (1 + 2 + 1 + 8 + 2) + 1 + room) + 2 * areas + sides
+        # alarm; a side: slope, weight and deviation, reading, two states of 4, its opposite and reader, whether it is closed;
+        # once: one start more
+        sides = network_scale.network_of(areas).network.topology.node.size
+        expected = 8 * (areas * (24 + 9 + 6 + 32 + 1) + sides * (1 + 2 + 1 + 8 + 2) + 1) + areas + sides
         assert found[f"one of {areas} areas", "", "peak_memory"].value == expected / areas
         assert (f"{areas} areas", "in place", "replug_time") in found
     assert found["one of 15 areas", "", "step_time"].published == 4.1e-3

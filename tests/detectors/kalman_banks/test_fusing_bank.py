@@ -188,7 +188,7 @@ def test_two_faults_at_once_are_isolated_where_two_are_allowed(literal: bool) ->
     # without a second fault the third sensors stay in use
     single = run(two, two.init((6,)), t, np.where(np.arange(8) == 1, y, faulty), u)[1]
     assert single.isolated[during][..., 5].mean() > 0.95 and np.delete(single.isolated, 5, axis=-1)[during].mean() < 0.02
-    with pytest.raises(ValueError, match="expected fewer than the 8 sensors"):
+    with pytest.raises(ValueError, match="has 8 sensors, give fewer"):
         FusingBank(plant, max_faults=8)
 
 

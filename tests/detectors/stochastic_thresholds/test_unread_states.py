@@ -9,7 +9,7 @@ import pytest
 from area_chain import AB, BA, BC, CB, CD, DC, TOPOLOGY, chain_areas, chain_runs
 from rounding import EPS
 
-from fusion_sfdia.detectors.stochastic_thresholds.consensus import Diagnosers, NetworkReadings, predict, take
+from fusion_sfdia.detectors.stochastic_thresholds.consensus import Diagnosers, NetworkReadings, predict, require_mode, take
 from fusion_sfdia.detectors.stochastic_thresholds.fault_hypotheses import FaultHypotheses
 from fusion_sfdia.detectors.stochastic_thresholds.guarantees import spectral_radius
 from fusion_sfdia.detectors.stochastic_thresholds.network_step import network_step
@@ -204,7 +204,7 @@ def test_unread_states_that_cannot_be_estimated_are_refused() -> None:
 def test_what_needs_all_states_says_so() -> None:
     areas = CASES["a private state"]
     with pytest.raises(ValueError, match="no sensor of its area reads b1; the mode 'paper'"):
-        areas.arrays("paper")
+        require_mode(areas, "paper")
     with pytest.raises(ValueError, match="no sensor of its area reads b1; fault functions"):
         FaultHypotheses(areas, "a", {"none": lambda x, u, e: 0.0 * x})
     assert require_estimable(chain_areas()) == 0.0

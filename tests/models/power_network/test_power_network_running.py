@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fusion_sfdia.detectors.stochastic_thresholds.consensus import NetworkReadings, initial_state
-from fusion_sfdia.detectors.stochastic_thresholds.network_step import network_step
+from fusion_sfdia.detectors.stochastic_thresholds.network_step import network_step, terms_of
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import NetworkModel, network_model
 from fusion_sfdia.models.power_network.parameters import generate_network
@@ -22,6 +22,9 @@ def assert_same(running: RunningNetwork, model: NetworkModel) -> None:
     np.testing.assert_array_equal(running.areas.network.closed, expected.network.closed)
     np.testing.assert_array_equal(running.areas.network.plugged, expected.network.plugged)
     np.testing.assert_array_equal(running.model.stiffness, model.stiffness)
+    terms, closed = terms_of(expected.arrays), expected.network.closed
+    np.testing.assert_array_equal(running.terms.of_areas, terms.of_areas)
+    np.testing.assert_array_equal(running.terms.of_sides[closed], terms.of_sides[closed])
 
 
 def test_changes_in_place_are_those_of_new_models() -> None:
@@ -57,7 +60,7 @@ def test_diagnosers_go_on_through_a_change() -> None:
         reference, load = rng.standard_normal((2, 2, 15))
         own, shared = rng.standard_normal((2, 15, 4)), rng.standard_normal((2, at.node.size))
         given = NetworkReadings(own, shared, reference, load), 2.0, 0.3
-        ours, _ = network_step(running.areas, ours, *given)
+        ours, _ = network_step(running.areas, ours, *given, terms=running.terms)
         theirs, _ = network_step(network_areas(model), theirs, *given)
         for a, b in zip(ours, theirs, strict=True):
             assert a.tobytes() == b.tobytes()
