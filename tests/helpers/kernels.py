@@ -43,11 +43,9 @@ NOT_NUMERICAL = (
 OLDEST = "--oldest"
 LEFT_OUT = (
     "contracts",
-    "frozen_model",
-    "inspection",
-    "monitor",
+    "learning",
+    "study",
     "test_steady_gains.py",
-    "tuning",
 )  # with OLDEST: whole models and detectors, for minutes
 SMALL = ("-k", "not (test_contract and (gas-pipeline or power-network or filterpy))")
 

@@ -29,6 +29,7 @@ def readings(seeds: range, steps: int = 60) -> np.ndarray:
     return truth(1.0).signal[:steps, None] + np.stack(list(noise(steady_detector(VALID).plant, steps, seeds)))
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["engine/noise", "engine/sensitivity", "engine/load", "engine/process"])
 def test_healthy_runs_have_no_alarm(name: str) -> None:

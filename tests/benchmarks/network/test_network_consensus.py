@@ -17,6 +17,7 @@ def quiet(t: float) -> np.ndarray[Any, Any]:
     return np.zeros(15)
 
 
+@pytest.mark.long
 def test_the_theory_of_consensus_is_the_corrected_threshold_without_memory() -> None:
     areas = network({"noise": "small", "worse": 4.0})
     *_, (_, last) = diagnosed(areas, run_network(network_model(noise="small"), 3, [0], loads=quiet), MEMORYLESS)

@@ -97,6 +97,7 @@ def test_both_interpretations_are_compared_with_the_published_value() -> None:
     assert any("federated, 0.1 sigma 3 of 3" in remark for remark in summary.remarks)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_default_banks_isolate_the_papers_faults() -> None:
     """At moderate SNR, by quantity: recall 0.99 of biases, 0.95 of drifts, at 0.001 false flags a sensor-sample."""

@@ -63,6 +63,7 @@ def test_an_abrupt_bias_of_a_level_sensor_is_named_where_lasting_patterns_have_t
     assert right["both"] >= 0.75 and right["alone"] <= 0.6, right
 
 
+@pytest.mark.long
 def test_what_a_parameter_has_followed_isolates_no_sensor_after_a_slow_drift() -> None:
     """The bank by itself isolates the sensor that has been repaired: its unknowns have followed the drift."""
     log = with_bias(51, 1, 10.0, 1000, slope=True, steps=1400)
@@ -126,6 +127,7 @@ def test_a_sensor_that_was_repaired_is_used_again_by_the_bank() -> None:
     assert not both().readmit(state, PLANT.sensor_names[2]).memory.bank.exclusion.out.any()
 
 
+@pytest.mark.long
 def test_runs_are_judged_alone_as_in_a_batch() -> None:
     logs = [with_bias(40, 0, 5.0, 60), with_bias(41, 2, 8.0, 60), with_bias(42, 1, 0.0, 60)]
     batch = Log(logs[0].t, np.stack([log.y for log in logs], axis=1), logs[0].u)
@@ -136,6 +138,7 @@ def test_runs_are_judged_alone_as_in_a_batch() -> None:
         np.testing.assert_array_equal(single.estimate, together.estimate[:, b])
 
 
+@pytest.mark.long
 def test_a_large_bias_is_named_on_another_plant_with_process_noise() -> None:
     plant = tanks()
     found = simulate(plant, 1500, [1], process_noise=True)

@@ -40,6 +40,7 @@ def test_limits_hold_on_other_logs_of_a_right_model() -> None:
     assert np.all(np.diff(spread, axis=0) < 0)  # means of more rows have less noise
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_rows_with_a_fault_are_left_out_and_named() -> None:
     log = healthy()

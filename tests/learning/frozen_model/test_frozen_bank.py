@@ -51,6 +51,7 @@ def with_bias(size: float, sensor: int, first: int, last: int, slope: bool = Fal
     return Log(found.t, y, found.u)
 
 
+@pytest.mark.long
 def test_healthy_tanks_are_silent() -> None:
     d = decisions(on_tanks(), with_bias(0.0, 0, ONSET, ONSET + 1))
     assert not d.isolated.any() and d.process is not None and not d.process.any()

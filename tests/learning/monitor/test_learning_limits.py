@@ -91,6 +91,7 @@ def test_a_rate_that_the_rows_cannot_set_is_said() -> None:
     assert any("1500 healthy rows set limits for" in line and "record more" in line for line in monitor.remarks)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("offset", [pytest.param(0.0, marks=pytest.mark.long), pytest.param(0.5, marks=pytest.mark.slow)])
 def test_runs_with_offsets_of_their_own_raise_no_alarm_and_steps_in_them_are_named(offset: float) -> None:
     """Six runs, each left out once; an operating point of its own on a curve, and offsets of that many standard deviations.
