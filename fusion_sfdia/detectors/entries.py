@@ -49,7 +49,7 @@ def deferred(thing: Any) -> Any:
 
 
 def identity(thing: Any) -> Any:
-    """Return the argument: partial(itself, plant) makes that plant."""
+    """Return the argument: partial(identity, plant) makes that plant."""
     return thing
 
 

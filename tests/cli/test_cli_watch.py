@@ -196,7 +196,8 @@ def test_a_page_is_served_while_rows_come(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], log: Path
 ) -> None:
     rows, pages = log.read_bytes().replace(b"q2 [", b"FI2.PV [", 1).splitlines(keepends=True), list[str]()
-    Path("map.toml").write_text('[columns]\n"FI2.PV" = { sensor = "q2" }\n')
+    mapped = log.with_name("map.toml")
+    mapped.write_text('[columns]\n"FI2.PV" = { sensor = "q2" }\n')
 
     class Asking(io.BytesIO):
         """Rows, after the 161st of which the page is asked for."""
@@ -209,7 +210,7 @@ def test_a_page_is_served_while_rows_come(
             return super().readline(*size)
 
     monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=Asking(b"".join(rows))))
-    assert main(["watch", *DETECTOR, "--map", "map.toml", "--page", "0", "--page-hours", "0.1"]) == 0
+    assert main(["watch", *DETECTOR, "--map", str(mapped), "--page", "0", "--page-hours", "0.1"]) == 0
     (page,) = pages
     assert "The last 0.1 hours" in page and "FI2.PV has read" in page and "FI2.PV: out of specification" in page
     assert watched(monkeypatch, b"", "--page", "70000") == 2
