@@ -6,9 +6,9 @@ The public names are listed in __init__.pyi; more stand in `plants`, `detectors`
 
 from importlib import import_module
 from typing import Any
-from warnings import warn
 
 from fusion_sfdia.common.public_names import public_names
+from fusion_sfdia.common.warned import warn_renamed
 
 __version__ = "0.1.0"
 
@@ -34,11 +34,7 @@ def __getattr__(name: str) -> Any:
     homes = (f"{group}.{name}" for group in _GROUPS if name in import_module(f"{__name__}.{group}").__all__)
     if (now := _RENAMED.get(name) or next(homes, "")) == "":
         return _public(name)  # which states the public names
-    warn(
-        f"fusion_sfdia.{name} is now fusion_sfdia.{now}; the former name will be removed in the next release",
-        DeprecationWarning,
-        stacklevel=2,
-    )
+    warn_renamed(f"fusion_sfdia.{name}", f"fusion_sfdia.{now}")
     group, _, new = now.rpartition(".")
     if not group:
         return _public(new)

@@ -16,3 +16,8 @@ def warn(text: str, category: type[Warning] = UserWarning) -> None:
     while frame.f_back is not None and frame.f_code.co_filename.startswith(PACKAGE):
         frame, level = frame.f_back, level + 1
     warnings.warn(text, category, stacklevel=level)
+
+
+def warn_renamed(former: str, now: str) -> None:
+    """Warn that a name has another one since this release."""
+    warn(f"{former} is now {now}; the former name will be removed in the next release", DeprecationWarning)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.clock import Clock
+from fusion_sfdia.common.warned import warn_renamed
 from fusion_sfdia.detectors.detector import Decision, Detector, ProcessHypothesis
 
 Array = NDArray[Any]
@@ -112,9 +112,7 @@ class Event:
         str
             As of `summary`.
         """
-        warnings.warn(
-            "Event.told is now Event.summary; the former name will be removed in the next release", DeprecationWarning, 2
-        )
+        warn_renamed("Event.told", "Event.summary")
         return self.summary(clock)
 
     def fields(self, clock: Clock) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterable, Iterator
 from datetime import datetime
 from functools import cached_property
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import floats, number, require_names, whole
 from fusion_sfdia.common.clock import Clock
-from fusion_sfdia.common.warned import warn
+from fusion_sfdia.common.warned import warn, warn_renamed
 from fusion_sfdia.detectors.detector import Decision, Detector
 from fusion_sfdia.detectors.state import State
 from fusion_sfdia.detectors.storage import (
@@ -312,9 +311,7 @@ class Watch:
         tuple of Sample
             As of `update`.
         """
-        warnings.warn(
-            "Watch.take is now Watch.update; the former name will be removed in the next release", DeprecationWarning, 2
-        )
+        warn_renamed("Watch.take", "Watch.update")
         return self.update(t, y, u)
 
     def rest(self) -> tuple[Sample, ...]:
@@ -325,9 +322,7 @@ class Watch:
         tuple of Sample
             As of `finish`.
         """
-        warnings.warn(
-            "Watch.rest is now Watch.finish; the former name will be removed in the next release", DeprecationWarning, 2
-        )
+        warn_renamed("Watch.rest", "Watch.finish")
         return self.finish()
 
     def last(self) -> list[Change]:
