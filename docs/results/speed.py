@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from itertools import pairwise
 from math import log
 from pathlib import Path
@@ -225,50 +224,45 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         figure.savefig(path, metadata={"Date": None})
 
 
-CURVES = {  # of large plants: detector and condition, with a line
-    ("loo-glr", "every step"): "o-",
-    ("loo-glr", "at rest"): "o--",
-    ("robust-glr", "every step"): "s-",
-    ("robust-glr", "at rest"): "s--",
-    ("none", "Cholesky"): "^-",
-    ("none", "least, filter"): ":",
-    ("none", "least, at rest"): "-.",
+CURVES = {  # of large plants: detector and condition, with line and colour
+    ("loo-glr", "every step"): ("o-", "C0"),
+    ("loo-glr", "at rest"): ("o--", "C0"),
+    ("robust-glr", "every step"): ("s-", "C1"),
+    ("robust-glr", "at rest"): ("s--", "C1"),
+    ("none", "Cholesky"): ("^-", "C2"),
+    ("none", "least, filter"): (":", "gray"),
+    ("none", "least, at rest"): ("-.", "gray"),
 }
 
 
 def large(rows: Sequence[Row]) -> dict[tuple[str, str], list[tuple[float, float, float]]]:
     """States, time, and time over that of filterpy's filter, of each curve of large plants."""
-    filterpy = {r.quantity: r.value for r in rows_of_filterpy(rows)}
+    by_hand = {r.quantity: r.value for r in of(rows, "large", "step_time") if r.condition == "Cholesky"}
+    filterpy = {r.quantity: by_hand[r.quantity] / r.value for r in of(rows, "large", "ratio") if r.detector == "none"}
     found: dict[tuple[str, str], list[tuple[float, float, float]]] = {}
     for r in of(rows, "large", "step_time"):
-        states = float(r.quantity.partition(" ")[0])
-        found.setdefault((r.detector, r.condition), []).append((states, r.value, r.value / filterpy[r.quantity]))
+        point = float(r.quantity.partition(" ")[0]), r.value, r.value / filterpy[r.quantity]
+        found.setdefault((r.detector, r.condition), []).append(point)
     return found
 
 
-def rows_of_filterpy(rows: Sequence[Row]) -> list[Row]:
-    """The time of filterpy's filter by size, from that by hand and its ratio."""
-    ratio = {r.quantity: r.value for r in of(rows, "large", "ratio") if r.detector == "none"}
-    return [replace(r, value=r.value / ratio[r.quantity]) for r in of(rows, "large", "step_time") if r.condition == "Cholesky"]
+def named(curve: tuple[str, str]) -> str:
+    """What a curve is called."""
+    return ", ".join(part for part in curve if part != "none")
 
 
 def large_table(rows: Sequence[Row]) -> str:
     """A line for each size, with time and, in brackets, the ratio to filterpy."""
     curves = large(rows)
-    sizes = sorted({n for points in curves.values() for n, *_ in points})
+    shown = [curves[curve] for curve in CURVES]
     lines = []
-    for n in sizes:
-        cells = []
-        for curve in CURVES:
-            _, time, ratio = next(point for point in curves[curve] if point[0] == n)
-            cells.append(f"{seconds(time)} ({ratio:.2g})")
-        filterpy = next(r.value for r in rows_of_filterpy(rows) if r.quantity == f"{n:g} states")
-        lines.append((f"{n:g}", seconds(filterpy), *cells))
-    names = (", ".join(part for part in curve if part != "none") for curve in CURVES)
-    exponent = [exponents([point[:2] for point in curves[curve][-3:]]).split(";")[0] for curve in CURVES]
-    first = exponents([(float(r.quantity.split()[0]), r.value) for r in rows_of_filterpy(rows)][-3:]).split(";")[0]
-    lines.append((f"exponent from {sizes[-3]:g} on", first, *exponent))
-    return table(("states, sensors", "filterpy", *names), lines)
+    for points in zip(*shown, strict=True):
+        states, time, ratio = points[0]
+        lines.append((f"{states:g}", seconds(time / ratio), *(f"{seconds(t)} ({r:.2g})" for _, t, r in points)))
+    last = [[(n, t / r) for n, t, r in shown[0]], *([(n, t) for n, t, _ in points] for points in shown)]
+    exponent = [exponents(points[-3:]).split(";")[0] for points in last]
+    lines.append((f"exponent from {shown[0][-3][0]:g} on", *exponent))
+    return table(("states, sensors", "filterpy", *map(named, CURVES)), lines)
 
 
 def draw_large(rows: Sequence[Row], path: Path) -> None:
@@ -279,11 +273,10 @@ def draw_large(rows: Sequence[Row], path: Path) -> None:
     with mpl.rc_context({"svg.hashsalt": "speed", "svg.fonttype": "none", "font.size": 9}):
         figure = Figure(figsize=(6.4, 3.4), layout="constrained")
         axes = figure.subplots()
-        for curve, line in CURVES.items():
-            detector, condition = curve
-            states, _, ratio = zip(*large(rows)[curve], strict=True)
-            colour = {"loo-glr": "C0", "robust-glr": "C1"}.get(detector, "C2" if condition == "Cholesky" else "gray")
-            axes.loglog(states, ratio, line, color=colour, label=", ".join(part for part in curve if part != "none"))
+        curves = large(rows)
+        for curve, (line, colour) in CURVES.items():
+            states, _, ratio = zip(*curves[curve], strict=True)
+            axes.loglog(states, ratio, line, color=colour, label=named(curve))
         axes.axhline(1.0, color="black", linewidth=0.8)
         axes.set(xlabel="states, and as many sensors", ylabel="time of a step / filterpy's filter")
         axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
