@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.detectors.stochastic_thresholds.consensus import Diagnosers, NetworkReadings, initial_state
-from fusion_sfdia.detectors.stochastic_thresholds.network_step import network_step
+from fusion_sfdia.detectors.stochastic_thresholds.network_step import network_step, terms_of
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import NetworkModel
 from fusion_sfdia.models.power_network.simulation import Draw, NetworkSample
@@ -64,13 +64,13 @@ def draw_of(law: str) -> Draw:
 
 def diagnosed(areas: Areas, moments: Iterable[NetworkSample], variant: Variant) -> Iterator[tuple[NetworkSample, Diagnosers]]:
     """Each sample of the runs of a network, with its diagnosers after the readings of that sample."""
-    state = None
+    state, terms = None, terms_of(areas.arrays, variant.mode)
     for now in moments:
         if state is None:
             state = initial_state(areas, now.reference.shape[:1])
         load = np.broadcast_to(now.load, now.reference.shape)
         given = NetworkReadings(now.own, now.shared, now.reference, load)
-        state, _ = network_step(areas, state, given, 1.0, variant.lam, variant.mode)
+        state, _ = network_step(areas, state, given, 1.0, variant.lam, variant.mode, terms=terms)
         yield now, state
 
 
