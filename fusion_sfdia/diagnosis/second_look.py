@@ -254,11 +254,8 @@ class SecondLook:
             known = own[0]
             for other in own[1:]:  # those that are one with the first
                 self.named.remove(other)
-                found += (
-                    [(other.id, replace(other.reported, open=False))]
-                    if other.reported is not None and other.reported.open
-                    else []
-                )
+                if other.reported is not None and other.reported.open:
+                    found.append((other.id, replace(other.reported, open=False)))
             known.start = event.start if event.start > times[0] else min(known.start, event.start)
             known.end, event = self._trusted(event), replace(event, start=known.start)
             if known.reported is None or _differs(known.reported, event):
