@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from fusion_sfdia.detectors.kalman_banks.excluding_bank import ExcludingBank
 from fusion_sfdia.detectors.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.detectors.kalman_banks.multiple_model import MultipleModel
 from fusion_sfdia.detectors.state import chosen_runs
-from fusion_sfdia.filters.estimators import Core, Ensemble, GaussianState, Prior, Reading
+from fusion_sfdia.filters.estimators import Core, Ensemble, Estimator, GaussianState, Prior, Reading
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.study.trials import Faulted
@@ -58,7 +58,8 @@ def _of_runs(detector: Detector, count: int, runs: Array) -> Detector:
     if not isinstance(detector, OF_ESTIMATORS) or not isinstance(detector.estimator, Ensemble):
         return detector
     settings = cast(Any, detector)
-    changed: Detector = replace(settings, estimator=_EnsembleOfRuns(detector.estimator, count, tuple(runs.tolist())))
+    estimator: Estimator = _EnsembleOfRuns(detector.estimator, count, tuple(runs.tolist()))
+    changed: Detector = replace(settings, estimator=estimator)
     return changed
 
 
@@ -69,6 +70,7 @@ class _EnsembleOfRuns:
     ensemble: Ensemble
     count: int
     runs: tuple[int, ...]
+    is_random: ClassVar[bool] = True
 
     @property
     def consistent(self) -> bool:
