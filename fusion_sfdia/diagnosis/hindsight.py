@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.diagnosis.hindsight_parts import beginning
-from fusion_sfdia.diagnosis.hindsight_steps import Hindsight, Steps, begun, keep, seen_at, unknown
+from fusion_sfdia.diagnosis.hindsight_steps import Hindsight, OneRun, Steps, begun, keep, seen_at, unknown
 from fusion_sfdia.filters.estimators import GaussianState
 from fusion_sfdia.plant.gaps import Track
 from fusion_sfdia.plant.plant import Plant
@@ -39,17 +39,16 @@ def hindsight(model: Plant, track: Track, out: Array, each: Callable[[Sequence[i
     filter has no finite value any more, everything after is NaN.
 
     A long log is cut into parts, which are filtered side by side as a batch, where the model is the same at all times: see
-    `hindsight_parts`.
+    `hindsight_parts`. One of a large linear plant is filtered with gains at rest.
     """
     count, n = out.shape
-    found, start, steps = unknown(count, n), begun(model), Steps(track, out)
+    found, start, steps, run = unknown(count, n), begun(model), Steps(track, out), OneRun(model)
     with np.errstate(all="ignore"):
         first, core = beginning(model, steps, found, each)
         for s in each(range(first, track.t.size)):
             if np.isfinite(track.begins[s]):
                 core = start
-            before, now = steps.before(s), track.t[s]
-            seen = seen_at(model, core, before, now, now - before, track.y[s], track.u[s], steps.use[s])
+            seen = run.seen_at(core, steps.before(s), float(track.t[s]), track.y[s], track.u[s], steps.use[s])
             if not seen.sound:
                 for values, none in zip(found, (np.nan, np.nan, np.nan, np.nan, 0), strict=True):
                     values[steps.sample(s) :] = none

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.any_time import ANY_TIME
+from fusion_sfdia.detectors.kalman_banks.steady_gains import can_rest
 from fusion_sfdia.diagnosis.hindsight_steps import FILTER, NO_DRAWS, Hindsight, Steps, begun, keep, seen_at
 from fusion_sfdia.filters.estimators import GaussianState
 from fusion_sfdia.plant.plant import Plant
@@ -26,7 +27,7 @@ def beginning(
 ) -> tuple[int, GaussianState]:
     """Filter as much of a log as is long enough, and a filter that forgets allows; return the next step and its state."""
     start, count = begun(model), steps.track.t.size
-    if count < FEWEST * SHORTEST or not _forgets(model, steps, found):
+    if count < FEWEST * SHORTEST or can_rest(model) or not _forgets(model, steps, found):
         return 0, start
     return _in_parts(model, steps, min(count // SHORTEST, MOST_PARTS, max(1, MOST_ELEMENTS // start.P.size)), found, each)
 

@@ -7,6 +7,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.detectors.batch_detector import TimeStep
+from fusion_sfdia.detectors.kalman_banks.steady_gains import (
+    SETTLED,
+    Gains,
+    SteadyGains,
+    can_rest,
+    estimate_at_rest,
+    near,
+    predicted,
+    statistics_at_rest,
+)
 from fusion_sfdia.filters.estimators import Extended, GaussianState, step_stream
 from fusion_sfdia.filters.gaussian import condition
 from fusion_sfdia.plant.gaps import Track
@@ -107,6 +118,45 @@ def seen_at(
     sd = np.sqrt(variance)
     normal = np.where(use, d / np.sqrt(np.diagonal(joint.S, axis1=-2, axis2=-1)), np.nan)
     return HindsightStep(GaussianState(after.x, after.P), sound, Hindsight(error, sd, normal, after.nis, np.sum(use, axis=-1)))
+
+
+class OneRun:
+    """The steps of the filter over one run: of a large linear plant with gains at rest, where they are, see `steady_gains`."""
+
+    def __init__(self, model: Plant) -> None:
+        self.model = model
+        self._gains = SteadyGains(model, (), ()) if can_rest(model) else None
+        self._used, self._since = np.zeros(len(model.sensors), bool), 0  # the readings used, and in how many steps before
+
+    def seen_at(self, core: GaussianState, before: float, now: float, y: Array, u: Array, use: Array) -> HindsightStep:
+        """The step from the time before (s) to the readings y (N,), of which those in `use` (N,)."""
+        step = TimeStep(before, now, now - before, 0, 0)
+        if self._gains is not None and self._gains.is_nominal(step.dt):
+            self._since = self._since + 1 if np.array_equal(use, self._used) else 0
+            self._used = use
+            gains = self._gains.of(use) if self._since >= SETTLED else None
+            if gains is not None and near(core.P[None], gains.posterior).all():
+                if (seen := self._at_rest(gains, core, step, y, u)) is not None:
+                    return seen
+        return seen_at(self.model, core, before, now, step.dt, y, u, use)
+
+    def _at_rest(self, gains: Gains, core: GaussianState, step: TimeStep, y: Array, u: Array) -> HindsightStep | None:
+        """The same by gains at rest; None where the model is another one, or has no finite value."""
+        model, use = self.model, gains.used
+        _, joint, same = predicted(model, gains, core.x[None], step, u[None])
+        y = model.near(y, joint.y[0])
+        found = statistics_at_rest(gains, joint, y[None])
+        after = estimate_at_rest(gains, joint, found)
+        x, whitened, d = after.x[0], found.whitened[0], np.where(use, y - joint.y[0], 0.0)
+        if not (same.all() and finite(x).all()):
+            return None
+        error = whitened / np.where(use, gains.weight, np.nan)
+        if not use.all():
+            error = np.where(use, error, _apart(model, y, model.output(step.t, x, u)))
+        normal = np.where(use, d / np.sqrt(np.diagonal(gains.S)), np.nan)
+        count = np.sum(use)
+        row = Hindsight(error, gains.sd, normal, d @ whitened / count, count)
+        return HindsightStep(GaussianState(x, after.P[0]), np.array(True), row)
 
 
 def _apart(model: Plant, y: Array, expected: Array) -> Array:

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rounding import rounding
-from toy_plants import readings, tanks
+from toy_plants import chain, readings, tanks
 
+from fusion_sfdia.detectors.kalman_banks import steady_gains
+from fusion_sfdia.diagnosis import hindsight_steps
 from fusion_sfdia.diagnosis.hindsight import hindsight, left_out
 from fusion_sfdia.diagnosis.hindsight_parts import _batch_step as batch_step
 from fusion_sfdia.diagnosis.hindsight_steps import Hindsight
@@ -146,3 +148,32 @@ def test_in_parts_nothing_is_known_after_the_filter_breaks_down(monkeypatch: pyt
     broken = track._replace(u=np.where(np.arange(1000)[:, None] >= 650, np.nan, track.u))
     found, _, _ = of_parts(monkeypatch, PLANT, broken, np.zeros((1000, 4), bool))
     assert np.isfinite(found.error[:650]).all() and np.isnan(found.error[650:]).all() and found.used[650:].sum() == 0
+
+
+def test_gains_at_rest_give_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fault that is left out and a sensor that stays silent, each for longer than it takes its gains to come to rest."""
+    plant = chain(6, process=0.5)
+    recording = simulate(plant, 600, seeds=[1], truth="model", process_noise=True)
+    y = recording.y[:, 0].copy()
+    y[320:470, 4] = np.nan
+    y[520, 1] = np.nan
+    out = np.zeros(y.shape, bool)
+    out[100:250, 2] = True
+    track, _ = bridged(plant, Log(recording.t, y, recording.u))
+    exact = hindsight(plant, track, out)
+    monkeypatch.setattr(steady_gains, "LARGE", 8)
+    rests: list[Array] = []
+
+    def counted(of: Plant, gains: steady_gains.Gains, *rest: Any) -> Any:
+        rests.append(gains.used)
+        return steady_gains.predicted(of, gains, *rest)
+
+    monkeypatch.setattr(hindsight_steps, "predicted", counted)
+    found = hindsight(plant, track, out)
+    assert len(rests) > 200 and {tuple(np.flatnonzero(~used)) for used in rests} == {(), (2,), (4,)}
+    tolerance = 10 * steady_gains.SAME  # of standard deviations
+    np.testing.assert_allclose(found.sd, exact.sd, rtol=tolerance)
+    np.testing.assert_allclose(found.error / exact.sd, exact.error / exact.sd, atol=tolerance)
+    np.testing.assert_allclose(found.normal, exact.normal, atol=tolerance)
+    np.testing.assert_allclose(found.nis, exact.nis, rtol=tolerance)
+    np.testing.assert_array_equal(found.used, exact.used)

@@ -55,8 +55,9 @@ EACH = 20  # times as many numbers a set of gains takes, most of them powers of 
 class Gains(NamedTuple):
     """Gains at rest with the readings that are used (N,).
 
-    F (n, n), H (N, n), P before and after the readings (n, n), S (N, N), C (n, N), S^-1 (N, N) and its diagonal (N,),
-    F K (n, N), A^(2^m) (M, n, n), and of each window its hypotheses and the information (ages, q) that they add.
+    F (n, n), H (N, n), P before and after the readings (n, n), S (N, N), C (n, N), S^-1 (N, N) and its diagonal (N,), the
+    standard deviation (N,) of a reading less what the others that are used state, F K (n, N), A^(2^m) (M, n, n), and of each
+    window its hypotheses and the information (ages, q) that they add.
     """
 
     used: Array
@@ -68,6 +69,7 @@ class Gains(NamedTuple):
     C: Array
     inverse: Array
     weight: Array
+    sd: Array
     gain: Array
     powers: Array
     effects: tuple[Effect, ...]
@@ -124,13 +126,16 @@ class SteadyGains:
         assert joint.H is not None and found.half is not None
         step = window_step.window_step(LastUpdate(K, H[None]), F, H, found, window_step.NUMBERS)
         powers = [step.A[0]]
-        while 2 ** len(powers) <= max(self.ages):
+        while 2 ** len(powers) <= max(self.ages, default=0):
             powers.append(powers[-1] @ powers[-1])
             powers[-1][np.abs(powers[-1]) < LEAST] = 0.0
         growth = tuple(growth_of(step, effect, ages) for effect, ages in zip(self.effects, self.ages, strict=True))
         p, S, C, inverse = (np.array(a.reshape(a.shape[-2:])) for a in (p, joint.S, joint.C, found.inverse))
+        weight, others = found.weight[0], H[~used]
+        variance = np.where(used, 1 / np.where(used, weight, 1.0), plant.sensor_cov)
+        variance[~used] += np.sum((others @ p) * others, axis=-1)
         return Gains(
-            used, F, H, P, p, S, C, inverse, found.weight[0], step.FK[0], np.array(powers), self.effects, growth
+            used, F, H, P, p, S, C, inverse, weight, np.sqrt(variance), step.FK[0], np.array(powers), self.effects, growth
         )  # fmt: skip
 
     def start(self, batch: tuple[int, ...]) -> Steady:
@@ -145,7 +150,7 @@ class SteadyGains:
 
         p (B, n, n): P after the last readings.
         """
-        left = (now.since >= SETTLED) & self._is_nominal(dt)
+        left = (now.since >= SETTLED) & self.is_nominal(dt)
         found: Judged | None = None
         while left.any():
             first = int(np.argmax(left))
@@ -185,10 +190,11 @@ class SteadyGains:
         """The state after an ordinary step with the readings used (B, N); usual (B,): runs in which the estimate is that of the
         filter on all of them.
         """
-        alike = usual & (used == before.used).all(axis=-1) & self._is_nominal(dt)
+        alike = usual & (used == before.used).all(axis=-1) & self.is_nominal(dt)
         return Steady(np.where(alike, before.since + 1, 0), np.zeros(alike.shape, bool), used)
 
-    def _is_nominal(self, dt: float) -> bool:
+    def is_nominal(self, dt: float) -> bool:
+        """Whether a step of dt (s) is as long as the plant's."""
         return abs(dt - self.plant.dt) <= SAME_DT * dt
 
 
