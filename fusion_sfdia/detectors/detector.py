@@ -359,6 +359,18 @@ def joined(parts: Sequence[Decision]) -> Decision:
     return _each(parts[0], lambda name: np.concatenate([getattr(d, name) for d in parts]))
 
 
+def room_for(like: Decision, times: int) -> Decision:
+    """Arrays as those of `like`, without values, for so many times: a long log has no memory for two copies."""
+    return _each(like, lambda name: np.empty((times, *getattr(like, name).shape[1:]), getattr(like, name).dtype))
+
+
+def place(part: Decision, whole: Decision, first: int) -> None:
+    """Write the Decisions of a part to those of the whole, from time `first` on."""
+    for f in fields(Decision):
+        if (values := getattr(part, f.name)) is not None:
+            getattr(whole, f.name)[first : first + len(values)] = values
+
+
 def chosen(decisions: Decision, times: Any) -> Decision:
     """The Decisions at some of the times, which are the first axis: an index, or (K,) bool."""
     return _each(decisions, lambda name: getattr(decisions, name)[times])

@@ -16,7 +16,7 @@ from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.common.errors import MissingPackageError
 from fusion_sfdia.common.html import as_html
 from fusion_sfdia.common.warned import warn
-from fusion_sfdia.detectors.detector import Decision, Detector, ProcessHypothesis, chosen, joined, stack
+from fusion_sfdia.detectors.detector import Decision, Detector, ProcessHypothesis, chosen, joined, place, room_for, stack
 from fusion_sfdia.detectors.verdicts import ALL_FAR, NO_THRESHOLDS, TOO_MANY, Conclusion, Verdict, far_off, judged, undecidable
 from fusion_sfdia.diagnosis.absent import beyond_resolution, repeats
 from fusion_sfdia.diagnosis.events import (
@@ -416,7 +416,7 @@ def decided(
     batch = track.y.shape[1:-1]
     if not batch and (whole := _at_once(detector, track)) is not None:
         return whole if track.own.all() else chosen(whole, track.own)
-    state, blocks, found = None, [], []
+    state, whole, count, found = None, None, 0, []
     for s in each(range(track.t.size)):
         if state is None or np.isfinite(track.begins[s]):
             state = detector.init(batch, float(track.begins[s]))
@@ -427,9 +427,12 @@ def decided(
         if track.own[s]:
             found.append(replace(decision, covariance=None))
         if len(found) == BLOCK or (s == track.t.size - 1 and found):
-            blocks.append(stack(found))
-            found = []
-    return joined(blocks)
+            block = stack(found)
+            whole = room_for(block, int(np.sum(track.own))) if whole is None else whole
+            place(block, whole, count)
+            count, found = count + len(found), []
+    assert whole is not None
+    return whole
 
 
 def _at_once(detector: Detector, track: Track) -> Decision | None:
