@@ -16,17 +16,18 @@ from fusion_sfdia.benchmarks.pipeline.support.interpretations import (
     near,
 )
 from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
-from fusion_sfdia.benchmarks.pipeline.support.trials import PAPER, Results, common, initial, tasks, trial
+from fusion_sfdia.benchmarks.pipeline.support.trials import PAPER, Results, common, initial, steps, tasks, trial
 from fusion_sfdia.common.run_statistics import Estimate
 from fusion_sfdia.detectors.detector import Detector
 from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.detectors.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.learning.builders import PAPER_FILTERS
 from fusion_sfdia.models.gas_pipeline import published
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.report.content import Figure, Summary
-from fusion_sfdia.report.plots import bars, legend_above, panels
+from fusion_sfdia.report.plots import MINUTES, bars, legend_above, panels
 from fusion_sfdia.report.results import Published, Row
 from fusion_sfdia.report.scenario_sentences import left_out, listed, pick
 from fusion_sfdia.study.estimation_metrics import root_mean_square
@@ -61,6 +62,34 @@ def _filter(name: str, snr: str, process_noise: str, feedback: str) -> Detector:
 def estimation_work(task: Task) -> Arrays:
     """A healthy run through a bank or a single filter."""
     return trial(task, _filter(task["detector"], task["snr"], task["process_noise"], task["feedback"]))
+
+
+def operation_figure(settings: Settings) -> Figure:
+    """Fig. 4 of the paper: what is prescribed at the ends of the pipe, and p, m and T along it without noise."""
+
+    def draw() -> Drawing:
+        plant = gas_pipeline()
+        recording = simulate(plant, steps(settings), seeds=[0], truth=settings["truth"])
+        figure, axes = panels(
+            [f"{q}, {u}" for q, u in zip(QUANTITIES, ("MPa", "kg/s", "K"), strict=True)], columns=3, width=10.5, height=3.2
+        )
+        for axis, quantity, size in zip(axes, QUANTITIES, (1e6, 1.0, 1.0), strict=True):
+            values = recording.signal[:, 0, plant.quantities[quantity][::5]] / size
+            axis.plot(MINUTES(recording.t), values, label=[f"{7.5 * node:g} km" for node in range(0, 21, 5)])
+            MINUTES.label_on(axis)
+        legend_above(figure)
+        return figure
+
+    return Figure(
+        "operation",
+        "Boundary conditions and the state without noise, as Fig. 4",
+        "Lines: places along the pipe. Prescribed are pressure and temperature at 0 km, 8.4 MPa and 303.15 K as in the paper, "
+        "and the flow at 150 km; the paper does not state its numbers, ours are our choice.",
+        draw,
+        "Three panels over time, one a quantity, with a line for each of five places along the pipe: the flow at the outlet "
+        "rises from 300 to 450 kg/s and falls to 350, further up it follows later and less; pressure and temperature fall "
+        "along the pipe",
+    )
 
 
 def estimation_summary(settings: Settings, results: Results) -> Summary:
@@ -119,7 +148,7 @@ def estimation_summary(settings: Settings, results: Results) -> Summary:
         *(near(_of(found, d), stated, factor=2.0) for d in (PAPER, tuple(PAPER_FILTERS))),
     ]
     table = interpretations_table("Table IV: RMSE, Pa, kg/s, K", ("filter", "noise", "quantity"), found, stated)
-    return Summary(rows=rows, figures=[figure], tables=[table], remarks=[*remarks, *left_out(rows)])
+    return Summary(rows=rows, figures=[figure, operation_figure(settings)], tables=[table], remarks=[*remarks, *left_out(rows)])
 
 
 def _of(found: dict[tuple[str, ...], dict[Interpretation, Estimate]], detectors: tuple[str, ...]) -> Any:

@@ -14,7 +14,7 @@ from fusion_sfdia.detectors.kalman_banks import window_step
 from fusion_sfdia.diagnosis.fault_draws import FaultRange
 from fusion_sfdia.learning.builders import as_printed
 from fusion_sfdia.models.gas_pipeline import published
-from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
+from fusion_sfdia.models.gas_pipeline.plant import demand, gas_pipeline
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.models.two_tanks.plant import two_tanks
 from fusion_sfdia.report.results import Row
@@ -78,13 +78,28 @@ def test_a_bank_of_each_feedback_is_beside_what_is_published() -> None:
     assert len(line) == 8 and "federated, 0.1 sigma" in summary.tables[0].header
 
 
+def test_the_state_without_noise_is_drawn_with_what_is_prescribed() -> None:
+    one = scenario("pipeline/estimation")
+    (figure,) = (f for f in one.summarise({**one.settings, "steps": 75}, []).figures if f.name == "operation")
+    pressure, flow, temperature = ([line.get_ydata() for line in axes.lines] for axes in figure.draw().axes)
+    minutes = np.arange(1, 76) / 6
+    np.testing.assert_allclose(pressure[0], 8.4)
+    np.testing.assert_allclose(temperature[0], 303.15)
+    np.testing.assert_allclose(flow[-1], [demand(60 * m) for m in minutes])
+    for along in (pressure, temperature):  # both fall from the inlet to the outlet
+        assert np.all(np.diff(along, axis=0) < 0)
+
+
 def test_both_interpretations_are_compared_with_the_published_value() -> None:
     one = scenario("pipeline/estimation")
     settings = {**one.settings, "steps": 75}
     chosen = [t for t in one.tasks(settings, 1) if t["detector"] == "ukf" and t["snr"] == "moderate"]
-    summary = one.summarise(settings, [(t, one.work(t)) for t in chosen])
+    results = [(t, one.work(t)) for t in chosen]
+    summary = one.summarise(settings, results)
     rmse = {(r.quantity, r.condition): r for r in summary.rows if r.metric == "rmse"}
     literal = rmse["pressure", "moderate SNR"]
+    (square_error,) = (found["square_error"] for task, found in results if task["process_noise"] == "nine-tenths")
+    assert literal.value == pytest.approx(np.sqrt(square_error[..., 0].mean()))  # of every sample, from the first one on
     other = rmse["pressure", "moderate SNR, federated, 0.1 sigma"]
     assert literal.published == other.published == pytest.approx(158.2)
     assert literal.value > 2 * other.value  # a filter with larger process noise follows its sensors
