@@ -9,13 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors.batch_detector import BatchDetector
 from fusion_sfdia.detectors.detector import Decision, Detector, stack
 from fusion_sfdia.detectors.storage import SavedArrays, whole_numbers
 from fusion_sfdia.detectors.verdicts import Conclusion, Verdict
 from fusion_sfdia.diagnosis.device_health import DeviceHealth, health_of
-from fusion_sfdia.diagnosis.events import Event, events_of
+from fusion_sfdia.diagnosis.events import Event, events_of, follow_ups
 from fusion_sfdia.diagnosis.sensor_events import rivals_at
+from fusion_sfdia.diagnosis.sentences import Words, sentence
 
 Array = NDArray[Any]
 
@@ -69,6 +71,8 @@ class Change(NamedTuple):
         In words, of those that have one.
     alarm : Alarm or None
         The alarm to which it belongs; None of a reset and of health.
+    after : tuple of Event
+        Of an event of a sensor that is closed, the findings since then that may be the same fault; without any it is over.
 
     Examples
     --------
@@ -90,6 +94,26 @@ class Change(NamedTuple):
     event: Event | None = None
     reason: str = ""
     alarm: Alarm | None = None
+    after: tuple[Event, ...] = ()
+
+    def sentence(self, words: Words, clock: Clock) -> str:
+        """The change in words for people: its reason, or its event as `Diagnosis.sentence` has it.
+
+        Parameters
+        ----------
+        words : mapping of str to Wording
+            How people call each hypothesis, as of `Diagnosis.words`.
+        clock : Clock
+            Of the rows.
+
+        Returns
+        -------
+        str
+            With the times of the clock.
+        """
+        if self.event is None:
+            return self.reason
+        return sentence(self.event, words, clock, ended=not self.reason, after=self.after)
 
     @property
     def device_health(self) -> DeviceHealth | None:
@@ -164,6 +188,19 @@ class Changes:
             self.standing[i] = OpenEvent(self.count, t, t, 0)
             found.append(Change(self.count, "opened", t, self._with_rivals(self._event(i), i)))
         return found
+
+    def followed(self, found: list[Change]) -> list[Change]:
+        """The changes, events of sensors that are over with their `follow_ups`, as far as they are known."""
+        over = [c.event is not None and c.event.kind == "sensor" and not c.event.open for c in found]
+        if not any(over) or not self.recent:
+            return found
+        times, decisions = zip(*self.recent, strict=True)
+        t = np.array(times)
+        events = events_of(self.detector, t, stack(list(decisions)), self.gap)
+        return [
+            c._replace(after=follow_ups(c.event, events, t)) if closed and c.event else c
+            for c, closed in zip(found, over, strict=True)
+        ]
 
     def reset(self, t: float, reason: str) -> list[Change]:
         """Close all that stands, forget the samples, and state why."""

@@ -26,6 +26,7 @@ from fusion_sfdia.diagnosis.events import (
     ProcessEvent,
     UndecidedEvent,
     events_of,
+    follow_ups,
     open_questions,
     spans,
     throughout,
@@ -200,7 +201,8 @@ class Diagnosis:
         str
             With the times of `clock`.
         """
-        return sentence(event, self.words, self.clock, ended=self._seen_to_end(event))
+        after = () if event.open or event.kind != "sensor" else follow_ups(event, self.events, self.t)
+        return sentence(event, self.words, self.clock, ended=self._seen_to_end(event), after=after)
 
     def _seen_to_end(self, event: Event) -> bool:
         """Whether the rows after a closed event were judged: no gap after which the detector starts anew, no divergence."""

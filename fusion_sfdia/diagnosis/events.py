@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar
 
@@ -19,6 +19,7 @@ Array = NDArray[Any]
 
 MOST_NAMES = 4  # in a sentence
 LASTING = 3  # samples
+TOGETHER = 20  # samples: findings less far apart may be of one fault, as spikes and noise raise many
 CERTAIN = 0.95  # a confidence below is stated
 NO_FAULT = "no fault"
 EVEN = 0.5  # a confidence below which it is rather something else
@@ -382,6 +383,34 @@ def open_questions(events: Sequence[Event], t: Array) -> list[UndecidedEvent]:
             if not decided and (e.open or last - first >= LASTING - 1):
                 found.append(e)
     return found
+
+
+def follow_ups(e: Event, events: Iterable[Event], t: Array) -> tuple[Event, ...]:
+    """The findings after an event of a sensor that may be the same fault under another name, in order of their start.
+
+    These are those of which it is a suspect or an alternative, those of the process or of operation, and the next event of the
+    sensor itself, which is the last: findings that last longer than the event, and begin at most TOGETHER samples after it, or
+    after such a finding, or after one that is undecided between others. Without any, the fault is over.
+    """
+
+    def until(end: float) -> float:
+        return float(t[min(int(np.searchsorted(t, end)) + TOGETHER, len(t) - 1)])
+
+    reach, found = until(e.end), list[Event]()
+    for o in sorted((o for o in events if o.end > e.end), key=lambda o: o.start):
+        if o.start > reach:
+            break
+        suspects = o.suspects if isinstance(o, UndecidedEvent) else (o.hypothesis, *o.alternatives)
+        if isinstance(o, UndecidedEvent) and not o.open and np.sum((t >= o.start) & (t <= o.end)) < LASTING:
+            continue  # as noise may raise one
+        if e.hypothesis in suspects or o.kind in ("process", "outside"):
+            found.append(o)
+            if o.hypothesis == e.hypothesis:
+                break
+        elif o.kind != "undecided":
+            continue
+        reach = max(reach, until(o.end))
+    return tuple(found)
 
 
 def throughout(events: Sequence[Event], t: Array) -> list[str]:

@@ -14,13 +14,12 @@ from scipy.special import ndtri
 
 from fusion_sfdia.detectors.detector import Decision, Detector, chosen
 from fusion_sfdia.diagnosis.absent import dropouts, due
-from fusion_sfdia.diagnosis.events import EVEN, Event
+from fusion_sfdia.diagnosis.events import EVEN, TOGETHER, Event
 from fusion_sfdia.diagnosis.fault_kinds import FEW, POSSIBLE, QUIET, Named, name, noise_of, resized
 from fusion_sfdia.diagnosis.hindsight_steps import Residuals
 
 Array = NDArray[Any]
 
-TOGETHER = 20  # samples: events of one sensor less far apart are judged together, as spikes and noise raise many
 HEALTHY = 2.0  # standard deviations: root mean square of residuals up to which a sensor that moves again is right
 STILL = 0.4  # share of equal successive readings of a healthy sensor above which they mean nothing
 

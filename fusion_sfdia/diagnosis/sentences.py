@@ -61,6 +61,7 @@ FAULTS = {
     "spikes": ("had spikes{of}", "has had spikes{of}", "they have stopped", "they continue"),
     "dropout": ("gave no readings", "has given no readings", "its readings are back", "it is still silent"),
 }
+SEEN_TO_END = ("freeze", "dropout")  # in the readings, whatever the verdicts after them
 CHECKS = {
     "bias": "Check the sensor's wiring or calibration.",
     "drift": "Check the sensor's calibration, and clean it.",
@@ -130,12 +131,14 @@ def kind_of(e: Event) -> Kind:
     return KINDS["possible" if e.confidence < EVEN else e.kind]
 
 
-def sentence(e: Event, words: Words, clock: Clock, *, ended: bool = True) -> str:
+def sentence(e: Event, words: Words, clock: Clock, *, ended: bool = True, after: Sequence[Event] = ()) -> str:
     """An event in a sentence, and one on what to do: "Mixed-air temperature TT04 read 1.5 K (1.3 to 1.7) too high from
     2026-03-01 02:07 to 03:59; it reads as expected again. Check the sensor's wiring or calibration."
 
-    ended: whether an event that is closed has been seen to end, rather than the rows or the detector. An impossible size,
-    beyond the limits that the plant states, or one that rounds to none, is left out.
+    ended: whether an event that is closed has been seen to end, rather than the rows or the detector. after: its `follow_ups`,
+    which may be the same fault under another name: it is over without them only, unless that is seen in the readings, of a
+    sensor that was frozen or silent. An impossible size, beyond the limits that the plant states, or one that rounds to none,
+    is left out.
     """
     when = f"since {clock.wall(e.start)}" if e.open else clock.span(e.start, e.end)
     if isinstance(e, UndecidedEvent):
@@ -155,7 +158,8 @@ def sentence(e: Event, words: Words, clock: Clock, *, ended: bool = True) -> str
         )
     if e.kind != "sensor" or isinstance(e, OtherEvent):
         return f"{_first(e.summary(clock))}."
-    return _sensor(e, words.get(e.hypothesis) or Wording("sensor", e.hypothesis), words, when, ended)
+    now = _now(e, words, clock, ended, after)
+    return _sensor(e, words.get(e.hypothesis) or Wording("sensor", e.hypothesis), words, when, now)
 
 
 def by_importance(events: Sequence[Event], passing: Sequence[Event] = ()) -> list[Event]:
@@ -201,8 +205,8 @@ def others_of(e: Event, words: Words) -> list[str]:
     return [str(words.get(name) or name) for name in e.alternatives]
 
 
-def _sensor(e: Event, w: Wording, words: Words, when: str, ended: bool) -> str:
-    closed, acts, over, stays = FAULTS.get(e.fault, FAULTS["bias"])
+def _sensor(e: Event, w: Wording, words: Words, when: str, now: str) -> str:
+    closed, acts, _, _ = FAULTS.get(e.fault, FAULTS["bias"])
     size, side = size_of(e, words), "too high" if e.size > 0 else "too low"
     off = f"{size} {side}"
     if not size and e.fault in ("", "bias"):
@@ -215,8 +219,42 @@ def _sensor(e: Event, w: Wording, words: Words, when: str, ended: bool) -> str:
     doubt = "perhaps " if e.confidence < EVEN else "probably " if e.confidence < CERTAIN else ""
     instead = f" It may be {_either(others_of(e, words))} instead." if doubt and e.alternatives else ""
     check = _stop(w.check) or CHECKS.get(e.fault, CHECKS["bias"])
-    now = stays if e.open else over if ended else "whether it is over is not known"
     return f"{_first(str(w))} {doubt}{did} {when}; {now}.{instead} {check}"
+
+
+def _now(e: Event, words: Words, clock: Clock, ended: bool, after: Sequence[Event]) -> str:
+    """Whether the fault of a sensor is over, in a part of a sentence."""
+    _, _, over, stays = FAULTS.get(e.fault, FAULTS["bias"])
+    if e.open or not ended:
+        return stays if e.open else "whether it is over is not known"
+    if not after or e.fault in SEEN_TO_END:
+        return over
+    first, last = after[0], max(after, key=lambda o: (o.hypothesis == e.hypothesis, o.open, o.end))
+    goes_on = last.open or last.hypothesis == e.hypothesis
+    parts = [_follow_up(o, e.hypothesis, words, clock) for o in ([first] if last is first or not goes_on else [first, last])]
+    return ", and ".join(parts if goes_on else [*parts, f"after {clock.wall(last.end)} {over}"])
+
+
+def _follow_up(o: Event, sensor: str, words: Words, clock: Clock) -> str:
+    """A finding after the event of a sensor, which may be the same fault, in a part of a sentence."""
+    when, open_ = f"since {clock.wall(o.start)}" if o.open else clock.span(o.start, o.end), o.open
+    if o.hypothesis == sensor:
+        return f"it {'has been' if open_ else 'was'} wrong again {when}"
+    if isinstance(o, UndecidedEvent):
+        names = ["it", *(str(words.get(name) or name) for name in o.suspects if name != sensor)]
+        if sensor not in o.suspects or len(names) == 1:
+            return f"it may {'still be' if open_ else 'still have been'} wrong {when}"
+        cannot, is_ = ("cannot", "is") if open_ else ("could not", "was")
+        return f"{when} it {cannot} be told whether {_either(names)} {is_} at fault"
+    if o.kind == "outside":
+        return f"{when} operation {'has been' if open_ else 'was'} unlike any healthy log"
+    if isinstance(o, UnnamedEvent):
+        return f"{when} the process {'has not fitted' if open_ else 'did not fit'} the model"
+    w = words.get(o.hypothesis) or Wording("sensor" if o.kind == "sensor" else "parameter", o.hypothesis)
+    if w.part == "sensor":
+        return f"{when} {w} {'has been' if open_ else 'was'} taken to be at fault"
+    cause = {"input": "an error of ", "parameter": "a change of "}.get(w.part, "")
+    return f"{when} {cause}{w} {'has explained' if open_ else 'explained'} the readings"
 
 
 def _process(e: ProcessEvent, w: Wording, when: str) -> str:

@@ -36,7 +36,7 @@ class Findings:
         """What a row changes. seen: the row with its inputs; readings that the detector calls absurd are removed from it."""
         now = self.changes.after(seen.t, decision)
         if self.look is None:
-            return now
+            return self.changes.followed(now)
         u = seen.u
         if decision.absurd_input.shape == u.shape and decision.absurd_input.any():
             u = np.where(decision.absurd_input, self.detector.plant.input_at(seen.t), u)
@@ -46,12 +46,13 @@ class Findings:
             self.look.take(seen._replace(y=y, u=u, decision=self.changes.recent[-1][1]))
             if any(c.what in ("opened", "closed") for c in now):
                 self.look.happened([c.id for c in now if c.what == "closed"])
-            return [*now, *self._told(seen.t, *self.look.changes(opened, clock, self.changes.count + 1))]
+            named = self._told(seen.t, *self.look.changes(opened, clock, self.changes.count + 1))
+            return self.changes.followed([*now, *named])
         except RAISED as error:
             ended = self._ended(seen.t, self.look)
             self.look = self.look.anew()
             self.refused(f"row at {clock.at(seen.t)}: kinds of faults are named from the next row on: {described(error)}")
-            return [*now, *ended]
+            return self.changes.followed([*now, *ended])
 
     def sight(self, t: float, conclusion: Conclusion, *, at_once: bool) -> list[Change]:
         """Whether rows are no longer judged, or again, see `Changes.seen`."""
@@ -75,7 +76,7 @@ class Findings:
         count = self.changes.count
         found = self._told(t, *self._final(self.look, clock))
         self.changes.count = count
-        return found
+        return self.changes.followed(found)
 
     def _final(self, look: SecondLook, clock: Clock) -> tuple[list[tuple[int, Event]], str]:
         """What the second look knows by now; nothing where the model, which may raise anything, fails again."""

@@ -22,7 +22,7 @@ from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.diagnosis.alarms import BLIND, Raised, cause_of
 from fusion_sfdia.diagnosis.changes import Change
 from fusion_sfdia.diagnosis.device_health import DeviceHealth
-from fusion_sfdia.diagnosis.sentences import Words, sentence, wordings
+from fusion_sfdia.diagnosis.sentences import Words, wordings
 from fusion_sfdia.live.opcua import asyncua
 from fusion_sfdia.live.saving import SavedWatch
 from fusion_sfdia.live.security import SCHEMES, address
@@ -172,10 +172,7 @@ class AlarmServer:
                 return
             condition = await self._condition(cause)
             stood, before = condition.active, condition.severity
-            text = change.reason
-            if change.event is not None:
-                text = sentence(change.event, self.words, self.clock(), ended=not change.reason)
-            self._describe(condition, change.device_health, text)
+            self._describe(condition, change.device_health, change.sentence(self.words, self.clock()))
             if change.alarm.active:
                 condition.active = True
             elif stood:

@@ -16,7 +16,7 @@ from fusion_sfdia.detectors.detector import Detector
 from fusion_sfdia.detectors.verdicts import Verdict, far_off
 from fusion_sfdia.diagnosis.changes import Change
 from fusion_sfdia.diagnosis.device_health import DeviceHealth
-from fusion_sfdia.diagnosis.sentences import Words, sentence
+from fusion_sfdia.diagnosis.sentences import Words
 from fusion_sfdia.diagnosis.watch import Sample
 from fusion_sfdia.live.status import Report
 from fusion_sfdia.plant.model_errors import RAISED
@@ -34,7 +34,7 @@ def change_line(change: Change, clock: Clock, words: Words) -> str:
     found |= {} if change.device_health is None else {"device_health": change.device_health.name}
     if change.event is None:
         return _json({**found, "reason": change.reason})
-    fields = change.event.fields(clock) | {"text": sentence(change.event, words, clock, ended=not change.reason)}
+    fields = change.event.fields(clock) | {"text": change.sentence(words, clock)}
     known = {name: v for name, v in fields.items() if name == "size" or (v not in ("", (), None) and v == v)}
     return _json({**found, **known})
 

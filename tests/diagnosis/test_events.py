@@ -20,6 +20,7 @@ from fusion_sfdia.diagnosis.events import (
     ProcessEvent,
     UndecidedEvent,
     events_of,
+    follow_ups,
     listed,
     spans,
     verdict,
@@ -213,3 +214,27 @@ def test_of_many_names_the_first_are_listed() -> None:
 )
 def test_spans(held: str, gap: int, expected: list[tuple[int, int]]) -> None:
     assert spans(np.array([c == "#" for c in held], dtype=bool), gap) == expected
+
+
+def test_a_fault_is_over_if_nothing_that_may_be_it_follows() -> None:
+    t, nan = np.arange(400.0), np.nan
+    bias = Event("l1", 50.0, 99.0, 1.0, "m", False, fault="bias")
+
+    def between(*names: str, start: float = 100.0, end: float = 120.0, open_: bool = False) -> UndecidedEvent:
+        return UndecidedEvent(" or ".join(names), start, end, nan, "", open_, names)
+
+    def followed(*others: Event) -> list[Event]:
+        return list(follow_ups(bias, [bias, *others], t))
+
+    leak = ProcessEvent("leak", 119.0, 200.0, 1.0, "m3/s", False, 0.1, 0.0)
+    for one in (between("l2", "l1"), leak, replace(leak, start=20.0), replace(bias, start=105.0, end=140.0)):
+        assert followed(one) == [one]
+    assert followed(replace(leak, start=121.0)) == [] == followed(replace(leak, start=60.0, end=99.0))  # too late, over
+    assert followed(replace(bias, hypothesis="l2", start=100.0, end=120.0)) == [] == followed(between("l2", "q12"))
+    assert followed(named := replace(bias, hypothesis="l2", start=100.0, end=120.0, alternatives=("l1",))) == [named]
+    assert followed(between("l2", "l1", end=101.0)) == []  # as noise may raise one
+    assert followed(between("l2", "l1", end=101.0, open_=True)) != []
+    others, later = between("l2", "q12", end=200.0), replace(leak, start=215.0, end=260.0)
+    assert followed(others, later) == [later]  # what is undecided in between tells nothing of l1
+    again = replace(bias, start=270.0, end=300.0)
+    assert followed(later, replace(leak, start=301.0, end=350.0), again, others) == [later, again]  # that has its own sentence

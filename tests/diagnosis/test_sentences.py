@@ -15,7 +15,7 @@ from toy_plants import tanks
 from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.diagnosis.changes import Change
-from fusion_sfdia.diagnosis.events import Event, ProcessEvent, UndecidedEvent, UnnamedEvent
+from fusion_sfdia.diagnosis.events import Event, OperationEvent, ProcessEvent, UndecidedEvent, UnnamedEvent
 from fusion_sfdia.diagnosis.sentences import Wording, by_importance, counted, sentence, size_of, wordings
 from fusion_sfdia.live.lines import change_line
 from fusion_sfdia.plant.plant import Plant
@@ -66,6 +66,35 @@ def test_an_event_that_was_not_seen_to_end_may_still_be_there() -> None:
     assert "; whether it is over is not known. " in sentence(TT04, WORDS, NIGHT, ended=False)
     closed = replace(OUTLET, hypothesis="equation of level", nominal=np.nan, open=False)
     assert sentence(closed, WORDS, NIGHT).startswith("Something that the model leaves out lowered the tank from")
+
+
+def test_a_fault_that_another_finding_follows_is_not_said_to_be_over() -> None:
+    def now(*after: Event, fault: str = "bias") -> str:
+        return sentence(replace(TT04, fault=fault), WORDS, NIGHT, after=after).partition("; ")[2].partition(". ")[0]
+
+    later, names = {"start": 6780.0, "end": 7200.0}, ("l1", "TT04")
+    undecided = UndecidedEvent("l1 or TT04", 6780.0, 7200.0, np.nan, "", True, names)
+    assert now(undecided) == "since 2026-03-01 04:00 it cannot be told whether it or sensor l1 is at fault"
+    over = replace(undecided, open=False)
+    assert now(over) == (
+        "from 2026-03-01 04:00 to 04:07 it could not be told whether it or sensor l1 was at fault, and after 2026-03-01 04:07 "
+        "it reads as expected again"
+    )
+    assert now(over, fault="freeze") == "its reading changes again"  # which is seen
+    again = replace(TT04, start=7260.0, end=9000.0, open=True)
+    inflow = "from 2026-03-01 04:00 to 04:07 an error of the recorded flow of the pump explained the readings"
+    assert now(replace(INFLOW, **later), again) == f"{inflow}, and it has been wrong again since 2026-03-01 04:08"
+    unfit = UnnamedEvent("none", 6780.0, 7200.0, np.nan, "", True)
+    assert now(unfit) == "since 2026-03-01 04:00 the process has not fitted the model"
+    assert now(replace(unfit, open=False), fault="noise").endswith(
+        "did not fit the model, and after 2026-03-01 04:07 it is quiet again"
+    )
+    assert now(replace(OUTLET, **later)) == "since 2026-03-01 04:00 a change of outlet has explained the readings"
+    other = replace(TT04, hypothesis="l1", alternatives=("TT04",), open=True, **later)
+    assert now(other) == "since 2026-03-01 04:00 sensor l1 has been taken to be at fault"
+    assert now(OperationEvent("none", 6780.0, 7200.0, np.nan, "", True)).endswith("has been unlike any healthy log")
+    alone = replace(undecided, suspects=("TT04",))
+    assert now(alone) == "it may still be wrong since 2026-03-01 04:00"
 
 
 @pytest.mark.parametrize(("size", "sigmas"), [(0.0, 0.0), (1e-3, 0.003), (np.nan, np.nan)])

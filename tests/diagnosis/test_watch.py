@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from process_bank import ProcessBank
 from toy_plants import chain, changed, declared, readings, tanks
 
 from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter
@@ -347,3 +348,22 @@ def test_the_generator_yields_each_change_with_its_row() -> None:
         assert repr(list(Watch(bank()).events(rows))) == repr(changes_of(taken(Watch(bank()), rows)))
     first = next(Watch(bank()).events(iter(rows)))
     assert first.what == "opened" and first.event and first.event.hypothesis == "l1"
+
+
+@pytest.mark.parametrize("kinds", [True, False])
+def test_what_follows_a_fault_is_said_as_diagnose_says_it(kinds: bool) -> None:
+    plant = tanks()
+    l1, q12 = plant.sensor_index("l1"), plant.sensor_index("q12")
+    bank = ProcessBank(plant, false_alarm=1e-6, accept=(10**6, 10**6), doubt=(32, 45), between=(q12, l1))
+    rows = rows_of(plant, 80, faults={q12: (10, 30, 20.0)})
+    whole = diagnose(bank, *(np.array(part) for part in zip(*rows, strict=True)))
+    (event,) = (e for e in whole.events if e.hypothesis == "q12" and e.kind == "sensor")
+    whether = "it cannot be told whether it or level of the upper tank l1 is at fault"
+    assert f"{whether.replace('cannot', 'could not').replace(' is ', ' was ')}, and after 220 s it reads" in whole.sentence(
+        event
+    )
+    watch = Watch(bank, kinds=kinds)
+    said = [c.sentence(whole.words, watch.clock) for c in changes_of(taken(watch, rows)) if c.event and not c.event.open]
+    texts = [text for text in said if text.startswith("Flow between")]
+    assert f"; since 160 s {whether}. " in texts[0]
+    assert not kinds or texts[-1] == whole.sentence(event)  # of the second look, when the alarm has ended, too
