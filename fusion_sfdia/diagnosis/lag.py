@@ -4,6 +4,9 @@ After a diagnosis that is not healthy, each sensor with large residuals is left 
 the others: p. Its reading is late by k rows where y(t) - p(t - k) scatters clearly less than y(t) - p(t), and no more than its
 noise, in nearly all parts of the log. The scatter is about the median of each part, so that a bias is no lag, and a lag
 hides no bias. A variable that hardly moves shows no lag, nor any residual by it.
+
+That the readings fit better so is not enough where the model itself is off by a part of a row: a lag has to explain alarms that
+a bias, drift or noise of the sensor leaves. What is isolated of a step that lasts stays so when the readings are shifted.
 """
 
 from __future__ import annotations
@@ -30,7 +33,10 @@ Array = NDArray[Any]
 LONGEST, PARTS, ROWS = 12, 4, 2000  # rows of a lag at most; parts of the log that agree; rows of it that are looked at
 FEWEST = 12  # readings of a part
 CANDIDATES, LARGE = 4, 1.2  # sensors that are looked at, with a mean square of residuals in standard deviations above
-EVIDENCE = 8.0  # by which the logarithm of the likelihood is larger with the lag
+EVIDENCE = (
+    8.0  # by which log L is larger with the lag: more than ln(n) / 2 for its parameter (BIC) and ln `LONGEST` for the choice
+)
+SHARE = 0.1  # of the samples in alarm that a lag explains at least
 FOLLOWS, MOST_SD = 3.0, 10.0  # standard errors of a correlation; residuals in standard deviations that it takes as they are
 MOST = 3  # late sensors
 EXPLAINED = 1.5  # standard deviations: scatter with the lag
@@ -65,7 +71,7 @@ def explained_by_lag(
             warnings.simplefilter("ignore", DiagnosisWarning)  # they were issued with the first
             results = [(k, moved, _without_end(again(moved), detector.plant.sensor_names[i], k)) for k, moved in tried]
         rows, moved, result = min(results, key=lambda r: (_flagged(r[2]), _residual(r[2], i)))
-        if _flagged(result) >= _flagged(found):
+        if not _explains(_flagged(found), _flagged(result), rows):
             break
         texts.append(
             f"{Lag(i, rows).summary(detector.plant, log)}: its readings were shifted back by that much; correct the time "
@@ -94,6 +100,13 @@ def _flagged(found: Diagnosis) -> int:
     d = found.decisions
     flags = [d.isolated, *(v for v in (d.process, d.suspect) if v is not None)]
     return int(np.sum(np.any(np.concatenate([np.atleast_2d(f) for f in flags], axis=-1), axis=-1)))
+
+
+def _explains(before: int, after: int, rows: int) -> bool:
+    """Whether a lag of so many rows explains the alarm of so many samples that fewer are left after the shift: all of them, or
+    a share of at least `SHARE`, and more than the rows by which it moves the end of an event.
+    """
+    return after < before and (after == 0 or before - after > max(rows, SHARE * before))
 
 
 def _residual(found: Diagnosis, i: int) -> float:

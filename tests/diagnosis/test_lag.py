@@ -9,8 +9,19 @@ from numpy.typing import NDArray
 
 from fusion_sfdia import diagnose, simulate
 from fusion_sfdia.detectors import registry
-from fusion_sfdia.diagnosis.diagnose import diagnose_run
-from fusion_sfdia.diagnosis.lag import EVIDENCE, LONGEST, Lag, _about_medians, _gain, earlier, latest
+from fusion_sfdia.diagnosis import lag
+from fusion_sfdia.diagnosis.diagnose import Diagnosis, diagnose_run
+from fusion_sfdia.diagnosis.lag import (
+    EVIDENCE,
+    LONGEST,
+    Lag,
+    _about_medians,
+    _flagged,
+    _gain,
+    earlier,
+    explained_by_lag,
+    latest,
+)
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
 
@@ -107,3 +118,20 @@ def test_noise_larger_than_stated_is_no_lag() -> None:
         late.append(int(np.argmax(evidence(steps, np.roll(steps, 2) + noise / 5))))
     assert max(worst) <= EVIDENCE  # with the likelihood itself by chance in 40 * 12 exp(-8) = 0.16 of such tests
     assert late == [2] * 40
+
+
+@pytest.mark.parametrize(("left", "late"), [(0, True), (100, True), (140, False), (149, False), (150, False)])
+def test_a_lag_explains_alarms_that_a_step_leaves(left: int, late: bool, tanks: Plant, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = recorded(tanks, 0, 0, bias=5.0)
+    detector = registry.detector("loo-glr", tanks)
+    found = diagnose_run(detector, log)
+    assert _flagged(found) == 150
+
+    def again(moved: Log) -> Diagnosis:
+        isolated = found.decisions.isolated.copy()
+        isolated[: 2 * HALF - left] = False
+        return replace(found, decisions=replace(found.decisions, isolated=isolated))
+
+    monkeypatch.setattr(lag, "latest", lambda *_: Lag(0, 1))  # as a model that is off by a part of a row may suggest
+    result, shifted = explained_by_lag(detector, log, found, again)
+    assert (result is not found, shifted is not log) == (late, late)

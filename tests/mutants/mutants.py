@@ -1005,6 +1005,12 @@ MUTANTS = (
         "tests/diagnosis/test_lag.py::test_noise_larger_than_stated_is_no_lag",
     ),
     Mutant(
+        "fusion_sfdia/diagnosis/lag.py",
+        "SHARE * before))",
+        "0.0))",
+        "tests/diagnosis/test_lag.py::test_a_lag_explains_alarms_that_a_step_leaves",
+    ),
+    Mutant(
         "fusion_sfdia/diagnosis/alarms.py",
         "QUIET = 600.0",
         "QUIET = 599.0",
