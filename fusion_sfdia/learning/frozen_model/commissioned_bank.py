@@ -122,8 +122,9 @@ class CommissionedBank(FrozenBank):
     def _readmitted(self, memory: BothMemory, t: float, which: Array) -> BothMemory:
         return memory._replace(bank=self._bank._readmitted(memory.bank, t, which))
 
-    def share_isolated(self, log: Log, each: Each = in_silence) -> float:
-        """The share of the rows of healthy runs y (K, B, N) in which the bank by itself isolates a sensor or names the process.
+    def isolated_alone(self, log: Log, each: Each = in_silence) -> tuple[float, Array]:
+        """The share of the rows of healthy runs y (K, B, N) in which the bank by itself isolates a sensor or names the process,
+        and which sensors it isolates (K, B, N).
 
         It begins where the frozen model has forgotten its start, as uncertain as at any start, in stretches side by side.
         """
@@ -131,6 +132,8 @@ class CommissionedBank(FrozenBank):
         settle, first = self.frozen.settle, dense(self.plant.initial_cov)
         tracked, bank, hits = frozen.start((parts.y.shape[1],)), None, 0
         before = float(parts.t[0]) - self.plant.dt
+        runs, sensors = log.y.shape[1:]
+        isolated = np.zeros((len(parts.t), runs, parts.y.shape[1] // runs, sensors), bool)  # by run and stretch
         for k in each(range(len(parts.t)), "trying the adaptive bank"):
             t, y, u = float(parts.t[k]), parts.y[k], parts.u[k]
             if k < settle:
@@ -141,8 +144,12 @@ class CommissionedBank(FrozenBank):
                     bank, found = self._bank._judge(bank, TimeStep(before, t, t - before, 0, k - settle + 1), y, u)
                 assert found.process is not None
                 hits += int(np.sum(found.isolated.any(axis=-1) | found.process.any(axis=-1)))
+                isolated[k] = found.isolated[..., :sensors].reshape(isolated.shape[1:])
             before = t
-        return float(hits / max((len(parts.t) - settle) * parts.y.shape[1], 1))
+        whole, long = np.zeros(log.y.shape, bool), len(parts.t) - settle
+        for m in range(isolated.shape[2]):
+            whole[settle + m * long : settle + (m + 1) * long] = isolated[settle:, :, m]
+        return float(hits / max(long * parts.y.shape[1], 1)), whole
 
     def _counts(self, seen: Witness, channel: Decision, held: Array, starting: bool) -> Array:
         """Which of the bank's causes count (..., N + P) that it has held for so many rows."""
@@ -205,9 +212,10 @@ class CommissionedBank(FrozenBank):
         )
 
 
-def with_bank(frozen: FrozenBank, healthy: Any, each: Each = in_silence) -> tuple[FrozenBank, float]:
-    """The detector with the adaptive bank beside it, where the bank keeps its rate on healthy readings, else as it is; and the
-    share of their rows in which the bank by itself isolates a sensor or names the process.
+def with_bank(frozen: FrozenBank, healthy: Any, each: Each = in_silence) -> tuple[FrozenBank, float, Array]:
+    """The detector with the adaptive bank beside it, where the bank keeps its rate on healthy readings, else as it is; the
+    share of their rows in which the bank by itself isolates a sensor or names the process; and the sensors that it isolates
+    there (K, B, N).
 
     healthy: a Recording, a Log, a pandas frame or (t, y, u), see `as_log`.
     """
@@ -218,5 +226,5 @@ def with_bank(frozen: FrozenBank, healthy: Any, each: Each = in_silence) -> tupl
         fitted_rate=frozen.fitted_rate,
         fitted_scale=frozen.threshold_scale,
     )
-    share = both.share_isolated(as_runs(frozen.plant, (healthy,)), each)
-    return (both if share <= RATE else frozen), share
+    share, isolated = both.isolated_alone(as_runs(frozen.plant, (healthy,)), each)
+    return (both if share <= RATE else frozen), share, isolated

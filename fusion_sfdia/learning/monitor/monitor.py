@@ -538,7 +538,7 @@ def _remarks(found: Monitor, rows: int, per_row: float, moments: Sequence[tuple[
             first, last = (int(found.learnt.edges[e]) for e in (block, block + 1))
             lines.append(
                 f"{names[sensor]} {what} from {_when(moments, first, found.dt)} to {_when(moments, last - 1, found.dt)}, by a "
-                f"factor of {factor:.2g}: was it healthy?"
+                f"factor of {factor:.2g}: was it healthy? If not, leave that time out, or give another log"
             )
     return lines
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.rate import Rate
+from fusion_sfdia.diagnosis.events import TOGETHER, spans
 from fusion_sfdia.learning.commissioning.parameters import declared
 from fusion_sfdia.learning.commissioning.refusals import still
 from fusion_sfdia.learning.frozen_model.commissioned_bank import with_bank
@@ -26,6 +27,7 @@ from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 
+LASTING_FAULT, MOST_FAULTS = 60, 3  # rows of a sensor's fault that is remarked on; sensors
 FAR = 3.0  # prior standard deviations of an unknown, beyond which it is remarked on
 
 
@@ -51,13 +53,14 @@ def tuned_frozen(
         f"all readings from {at(a, b)} to {at(z, b)}: {np.sqrt(times):.2g} times as far off as in the rest of the log"
         for b, a, z, times in unlike
     ]
-    if strict and left_out:
-        raise ValueError("the healthy log has readings that are not healthy: " + "; ".join(left_out))
     scores = [np.sqrt(learnt.held_out)[:, None]]
     limit = threshold(scores, rate.per_sample(dt))
     scale = max(limit.scale, 1.0)  # above the largest that blocks have shown which were not learnt
     alone = FrozenBank(plant, frozen=learnt.frozen, threshold_scale=scale, fitted_rate=rate.per_sample(dt))
-    detector, share = with_bank(alone, log, each)
+    detector, share, isolated = with_bank(alone, log, each)
+    faulty = _like_faults(plant, isolated, at) if detector is alone else []
+    if strict and left_out + faulty:
+        raise ValueError("the healthy log has readings that are not healthy: " + "; ".join(left_out + faulty))
     count = counted(scores, scale)
     remarks = [f"left out: {reason}" for reason in left_out]
     remarks += [
@@ -65,6 +68,7 @@ def tuned_frozen(
         "log has once, or a fault"
         for b, a, z, times in learnt.unlike
     ]
+    remarks += faulty
     least = shortest(rate.per_sample(dt))
     if learnt.held_out.size < least:
         remarks.append(
@@ -96,6 +100,23 @@ def tuned_frozen(
     }
     tables = {"sensors": _sensors(plant, learnt), "commissioned": commissioned}
     return FrozenTuning(detector, tables, quality)
+
+
+def _like_faults(plant: Plant, isolated: Array, at: Callable[[int, int], str]) -> list[str]:
+    """Where the healthy log looks like one with a fault: the longest time for which each sensor is isolated (K, B, N)."""
+    found = []
+    for i, sensor in enumerate(plant.sensors):
+        times = [(z - a + 1, a, z, b) for b in range(isolated.shape[1]) for a, z in spans(isolated[:, b, i], TOGETHER)]
+        rows, first, last, run = max(times, default=(0, 0, 0, 0))
+        if rows >= LASTING_FAULT:
+            found.append(
+                (
+                    rows,
+                    f"from {at(first, run)} to {at(last, run)} this looks like a fault of {sensor.name} in the healthy log, or "
+                    "an error of the model: look at it, and leave that time out or give another log if it is a fault",
+                )
+            )
+    return [text for _, text in sorted(found, reverse=True)[:MOST_FAULTS]]
 
 
 def _moving(plant: Plant, log: Log, at: Callable[[int, int], str]) -> tuple[Log, list[str]]:

@@ -27,7 +27,7 @@ ONSET = 100
 def both() -> CommissionedBank:
     found = simulate(PLANT, 3000, [31])
     alone = FrozenBank.fit(PLANT, found, 1e-3)
-    detector, share = with_bank(alone, found)
+    detector, share, _ = with_bank(alone, found)
     assert isinstance(detector, CommissionedBank) and share <= RATE
     return detector
 
@@ -96,7 +96,7 @@ def test_process_faults_are_named_by_either() -> None:
 def test_a_bank_that_does_not_keep_its_rate_on_the_healthy_log_is_left_out() -> None:
     law = heated_room()
     alone = FrozenBank.fit(law.plant(), log := law.record(2, 21, building=11), 1 / DAY)
-    detector, share = with_bank(alone, log)
+    detector, share, _ = with_bank(alone, log)
     assert detector is alone and share > 100 * RATE
 
 
@@ -142,7 +142,7 @@ def test_runs_are_judged_alone_as_in_a_batch() -> None:
 def test_a_large_bias_is_named_on_another_plant_with_process_noise() -> None:
     plant = tanks()
     found = simulate(plant, 1500, [1], process_noise=True)
-    detector, _ = with_bank(FrozenBank.fit(plant, found, 1e-3), found)
+    detector, _, _ = with_bank(FrozenBank.fit(plant, found, 1e-3), found)
     y = simulate(plant, 300, [5], process_noise=True).y[:, 0].copy()
     y[200:260, 0] += 20 * plant.sensor_sigma[0]
     d = run(detector, detector.init(), Log(found.t[:300], y, found.u[:300]))[1]

@@ -78,3 +78,15 @@ def test_its_passes_are_shown_step_by_step() -> None:
 def test_a_log_too_short_for_slow_drifts_says_so() -> None:
     found = tune(PLANT, healthy(steps=400), detector=NAME)
     assert any("too short for windows of" in remark for remark in found.quality["remarks"])
+
+
+@pytest.mark.slow
+def test_a_fault_in_the_healthy_log_is_named_and_refused_if_strict() -> None:
+    log = healthy(steps=450)
+    y = log.y.copy()
+    y[200:320, 1] += 8 * PLANT.sensor_sigma[1]
+    with pytest.raises(
+        ValueError, match=rf"are not healthy: from .* this looks like a fault of {PLANT.sensor_names[1]} in the h"
+    ):
+        tune(PLANT, log._replace(y=y), detector=NAME, strict=True)
+    assert not any("fault of" in r for r in tuned().quality["remarks"])
