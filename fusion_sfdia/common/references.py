@@ -135,11 +135,15 @@ def _file(path: Path) -> ModuleType:
     module = module_from_spec(spec)
     vars(module)["__digest__"] = digest
     sys.modules[name] = module  # before it runs: dataclasses look their module up
+    folder = str(path.parent)  # of what it imports that is beside it
+    sys.path.append(folder)
     try:
         exec(compile(source, str(path), "exec"), vars(module))
     except Exception as error:
         del sys.modules[name]
         raise ValueError(f"{path} fails while it is imported: {_shown(error)}; correct it, or install what it needs") from error
+    finally:
+        sys.path.remove(folder)
     return module
 
 

@@ -166,6 +166,12 @@ def jackknife_over_runs(statistic: Callable[[Array], Array], runs: int) -> Estim
     return _wilson(value, float((runs - 1) / runs * np.sum((parts - parts.mean()) ** 2)), runs)
 
 
+def one_run(values: Any) -> Array:
+    """Values of one run, (K,) or (K, N), as (K, 1, N); others as they are."""
+    found = np.asarray(values)
+    return found if found.ndim > 2 else found.reshape(len(found), 1, -1)
+
+
 def require_shapes(**arrays: tuple[Array, tuple[int, ...]]) -> None:
     """Raise ValueError naming every array whose shape is not the expected one."""
     wrong = [

@@ -27,6 +27,7 @@ MOST_UNITS = 4  # in an error
 MARKS = ((",", ""), (",", "."), (",", " "), (",", "'"), (".", ","), (".", " "), (".", "'"))  # decimal and thousands
 ON = ("on", "true", "open", "opened", "yes", "running", "run", "enabled", "active", "high", "ein", "auf", "an", "marche")
 OFF = ("off", "false", "closed", "close", "no", "stopped", "stop", "disabled", "inactive", "low", "aus", "zu", "arret")
+QUALITIES = ("bad", "good", "uncertain", "ok", "questionable", "invalid", "valid", "fail", "failed", "error")
 WORDS = 6  # that a message shows
 
 
@@ -181,7 +182,12 @@ def _refused(
     elif all(isinstance(cell, bool | np.bool_) or not re.search(r"\d", str(cell)) for cell in odd):
         bad = f"bad = {json.dumps(sorted(texts), ensure_ascii=False)}"
         alone = len(odd) == sum(str(cell).strip() != "" for cell in cells if cell is not None and cell == cell)
-        if c is None or plant is None or not (c.is_input or alone):
+        if alone and all(text.casefold() in QUALITIES for text in texts):
+            cure = (
+                f"this is a status, not numbers: state {bad} in a map if such texts stand where readings are missing; name the "
+                "column of the values if this is that of their quality; or leave the column out"
+            )
+        elif c is None or plant is None or not (c.is_input or alone):
             cure = f"state {bad} in a map where such a text marks a missing reading"
         else:
             line = _states_line(c, plant, texts)

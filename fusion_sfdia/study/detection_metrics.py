@@ -18,6 +18,7 @@ from fusion_sfdia.common.run_statistics import (
     Estimate,
     jackknife_over_runs,
     mean_over_runs,
+    one_run,
     proportion,
     rate_over_runs,
     require_shapes,
@@ -101,12 +102,12 @@ def roc(scores: Array, active: Array, where: Array | None = None) -> RocCurve:
 
     Parameters
     ----------
-    scores : array (K, B) or (K, B, N)
-        Largest |residual| / threshold of each sample; with sensors, to judge each of them separately.
+    scores : array (K,), (K, B) or (K, B, N)
+        Largest |residual| / threshold of each sample, of one run or of several; with sensors, to judge each of them separately.
     active : array (K, B, N) of bool
-        Whether each sensor is faulty.
+        Whether each sensor is faulty; of one run also (K, N), or (K,) whether any is.
     where : array (K, B) of bool, optional
-        The samples that count; None for all.
+        The samples that count, of one run also (K,); None for all.
 
     Returns
     -------
@@ -128,6 +129,9 @@ def roc(scores: Array, active: Array, where: Array | None = None) -> RocCurve:
     >>> curve.false_alarm_probability, curve.detection_probability
     (array([0., 0., 0., 1.]), array([0. , 0.5, 1. , 1. ]))
     """
+    if np.ndim(scores) == 1:  # of one run
+        scores, active = np.asarray(scores)[:, None], one_run(active)
+        where = None if where is None else np.asarray(where).reshape(-1, 1)
     score, truth, _ = _labelled(scores, active, where)
     if not score.size or truth.all() or not truth.any():
         return RocCurve(np.empty(0), np.empty(0), np.empty(0))

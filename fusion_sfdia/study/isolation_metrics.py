@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.metrics import confusion_matrix
 
-from fusion_sfdia.common.run_statistics import Estimate, rate_over_runs, require_shapes
+from fusion_sfdia.common.run_statistics import Estimate, one_run, rate_over_runs, require_shapes
 
 Array = NDArray[Any]
 
@@ -44,11 +44,11 @@ def confusion(isolated: Array, active: Array, where: Array | None = None) -> Arr
     Parameters
     ----------
     isolated : array (K, B, N) of bool
-        Whether each sensor is isolated.
+        Whether each sensor is isolated; of one run also (K, N), or (K,) of one sensor.
     active : array (K, B, N) of bool
-        Whether each sensor is faulty.
+        Whether each sensor is faulty; of one run as isolated.
     where : array (K, B) of bool, optional
-        The samples that count; None for all.
+        The samples that count, of one run also (K,); None for all.
 
     Returns
     -------
@@ -73,6 +73,8 @@ def confusion(isolated: Array, active: Array, where: Array | None = None) -> Arr
            [0., 1., 1.],
            [0., 0., 0.]])
     """
+    isolated, active = one_run(isolated), one_run(active)
+    where = None if where is None else np.asarray(where).reshape(len(active), -1)
     counted = _counted(isolated, active, where)
     found, faulty = isolated[counted], active[counted]
     n = found.shape[-1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
+import sys
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,13 @@ def test_a_file_is_imported_once_and_again_where_it_changed(tmp_path: Path, monk
     assert type(pickle.loads(pickle.dumps(first()))) is first
     (tmp_path / "tank.py").write_text("class Tank:\n    size = 2\n")
     assert load("tank.py:Tank").size == 2
+
+
+def test_a_file_imports_what_is_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "beside_the_tank.py").write_text("SIZE = 3\n")
+    (tmp_path / "tank.py").write_text("import beside_the_tank\n\nsize = beside_the_tank.SIZE\n")
+    before = [*sys.path]
+    assert load(f"{tmp_path}/tank.py:size") == 3 and sys.path == before
 
 
 def test_files_of_one_name_are_two_modules(tmp_path: Path) -> None:

@@ -216,6 +216,12 @@ def test_the_refusal_of_an_inputs_texts_has_the_line_of_their_states(tmp_path: P
     assert np.isfinite(log(tmp_path, columns, columns=POWER | {"power": column}).log.u).all()
 
 
+def test_a_status_is_not_given_numbers(tmp_path: Path) -> None:
+    message = refusal(tmp_path, {"level": ["Bad"] * 3, "flow": [0.1] * 3, "power": [1] * 3})
+    assert "this is a status, not numbers" in message and "leave the column out" in message
+    assert 'bad = ["Bad"]' in message and "states" not in message
+
+
 def test_the_line_is_in_the_unit_of_the_column(tmp_path: Path) -> None:
     columns = {"level": [1] * 2, "flow": [0.1] * 2, "JT 1 [kW]": ["On", "Off"]}
     message = refusal(tmp_path, columns, columns=POWER | {"JT 1": Column(input="power")})

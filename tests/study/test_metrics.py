@@ -458,3 +458,16 @@ def test_diverged_runs_are_counted_and_left_out():
     lost, (nothing,) = without_diverged(np.ones((6, 2), bool), alarm)
     assert lost == 2
     assert rate_over_runs(nothing.sum(axis=0), np.full(0, 6)) is NOTHING
+
+
+def test_one_run_needs_no_axis_of_runs() -> None:
+    rng = np.random.default_rng(0)
+    scores, active, isolated = rng.random(40), rng.random((40, 3)) < 0.3, rng.random((40, 3)) < 0.3
+    where = rng.random(40) < 0.8
+    whole = detection.roc(scores[:, None], active[:, None], where[:, None])
+    for given in (active, active[:, None], active.any(axis=1)):
+        for one, other in zip(detection.roc(scores, given, where), whole, strict=True):
+            np.testing.assert_array_equal(one, other)
+    matrix = isolation.confusion(isolated[:, None], active[:, None], where[:, None])
+    np.testing.assert_array_equal(isolation.confusion(isolated, active, where), matrix)
+    assert isolation.confusion(isolated[:, 0], active[:, 0]).sum() == 40
