@@ -157,7 +157,7 @@ def find_sources(
             return Sources((), "", (), tuple(unknown))
     for why, names in wrong.items():
         problems.add("unit", _of_wrong_unit(plant, *why, names), count=len(names))
-    _add_missing(problems, plant, {*found, *named}, absent, nominal)
+    _add_missing(problems, plant, {*found, *named}, unknown, absent, nominal)
     if not log_map.columns:
         by_name = {split_title(title, known)[0]: title for title in header}
         meant = _similar([name for name in own if name not in {*found, *named}], unknown)
@@ -269,14 +269,20 @@ def _quality(log_map: LogMap, title: str, column: Column | None) -> str:
     return "" if log_map.tag else log_map.quality.replace("{column}", split_title(title, log_map.columns)[0])
 
 
-def _add_missing(problems: Problems, plant: Plant, named: set[str], absent: bool, nominal: bool) -> None:
-    """Add the sensors and the inputs without a column, unless that is accepted, and a log of no sensor at all."""
+def _add_missing(
+    problems: Problems, plant: Plant, named: set[str], unknown: Sequence[str], absent: bool, nominal: bool
+) -> None:
+    """Add the sensors and the inputs without a column, unless that is accepted, and a log of no sensor at all; unknown: titles
+    that are none of them.
+    """
     lacking = [n for n in plant.sensor_names if n not in named]
     if lacking and not absent:
+        near = _similar(lacking, unknown)
+        meant = f"did you mean {some(list(near.values()))} for {some(list(near))}? " if near else ""
         problems.add(
             "sensors",
-            f"no column for the sensors {some(lacking)} of plant {plant.name!r}; add them (empty where not read), or take them "
-            "as missing with --absent-sensors (absent_sensors=True)",
+            f"no column for the sensors {some(lacking)} of plant {plant.name!r}; {meant}add them (empty where not read), or "
+            "take them as missing with --absent-sensors (absent_sensors=True)",
             count=len(lacking),
         )
     elif len(lacking) == len(plant.sensors):

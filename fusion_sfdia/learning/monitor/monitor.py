@@ -313,6 +313,8 @@ class Monitor:
         rows = sum(len(v.t) for v in verdicts)
         expected = f"without a fault some {self.learnt.limits.rate[0] * rows:.2g} of these {rows} rows would be in alarm"
         found = diagnosed(self.channels, self.dt, verdicts, (self.promise, expected, *self.remarks), log.clock)
+        known = tuple(e for e in found.events if not (e.fault == "dropout" and e.hypothesis in log.absent))
+        found = replace(found, events=known)  # that a sensor is silent which the log is known not to have is no finding
         return Result.of(
             found, plant=self.plant, detector=NAME, log=self._on_grid(log.log), columns=log.columns, source=source, basis=BASIS
         )

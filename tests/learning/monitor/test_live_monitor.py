@@ -157,6 +157,13 @@ def test_watch_and_diagnose_take_a_kept_monitor(
     assert {("sensor", "s2"), ("sensor", "s0"), ("outside", "still")} <= events
 
 
+def misspelt(data: Path, lines: list[str], name: str) -> Path:
+    """A log beside another one with a typing error in a title."""
+    path = data.with_name("misspelt.csv")
+    path.write_text("\n".join([lines[0].replace(name, f"s{name}"), *lines[1:]]) + "\n")
+    return path
+
+
 @pytest.mark.slow
 def test_a_log_without_a_column_is_refused_or_its_sensor_is_missing(
     monitor: Monitor, kept: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -167,8 +174,10 @@ def test_a_log_without_a_column_is_refused_or_its_sensor_is_missing(
     data.write_text("\n".join(",".join(line.split(",")[:2] + line.split(",")[3:]) for line in lines) + "\n")  # without s1
     diagnose = ["diagnose", "--monitor", kept, "--data", str(data), "--out", str(tmp_path / "out"), "--json"]
     assert main(diagnose) == 2 and "no column for the sensors 's1'" in capsys.readouterr().err
-    assert main([*diagnose, "--absent-sensors"]) == 0
-    assert [e["hypothesis"] for e in json.loads(capsys.readouterr().out)["events"] if e["fault"] == "dropout"] == ["s1"]
+    assert main([*diagnose, "--absent-sensors"]) == 0  # which is no finding then
+    assert not [e["hypothesis"] for e in json.loads(capsys.readouterr().out)["events"] if e["fault"] == "dropout"]
+    assert main([*diagnose[:4], str(misspelt(data, lines, "s1")), *diagnose[5:], "--force"]) == 2
+    assert "did you mean 'ss1' for 's1'?" in capsys.readouterr().err
     for options, code in (([], 2), (["--absent-sensors"], 0)):
         monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO(data.read_bytes())))
         assert main(["watch", "--monitor", kept, *options]) == code
