@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.common.arguments import floats, shown, some
 from fusion_sfdia.common.warned import warn
 from fusion_sfdia.logs.frames import as_pandas, is_frame
+from fusion_sfdia.logs.loaded_log import LoadedLog
 from fusion_sfdia.logs.reading import load_log
 from fusion_sfdia.plant.log import Log, require_same_names
 from fusion_sfdia.plant.plant import Plant
@@ -33,12 +34,12 @@ def as_log(
     plant : Plant
         Whose sensors and inputs they are.
     *data : arrays, tuple, Log, Recording or frame
-        t (K,), y (K, ..., N), u (K, ..., m) as three arguments or one tuple, a Log, or a Recording, the names of whose sensors
-        and inputs must be the plant's; or a frame of pandas, Polars or Arrow with a column for each sensor and input, as
-        `load_log` has them. Its times are in a column `time`, in an index of that name, or in an index of time stamps or
-        durations. Times are in seconds. Only a frame may have time stamps, which become seconds since its first row, which then
-        is at 0 s, and durations (timedelta64), which become seconds. y and u may be frames with the names of sensors and
-        inputs, in any order.
+        t (K,), y (K, ..., N), u (K, ..., m) as three arguments or one tuple, a Log, what `load_log` gave, or a Recording,
+        the names of whose sensors and inputs must be the plant's; or a frame of pandas, Polars or Arrow with a column for each
+        sensor and input, as `load_log` has them. Its times are in a column `time`, in an index of that name, or in an index of
+        time stamps or durations. Times are in seconds. Only a frame may have time stamps, which become seconds since its first
+        row, which then is at 0 s, and durations (timedelta64), which become seconds. y and u may be frames with the names of
+        sensors and inputs, in any order.
     absent_sensors, other_columns, nominal_inputs : bool, default False
         Of a frame, as in `load_log`.
 
@@ -61,6 +62,8 @@ def as_log(
     >>> as_log(two_tanks(), [5.0, 10.0], np.ones((2, 4)), np.full((2, 1), 1e-3)).y.shape
     (2, 4)
     """
+    if len(data) == 1 and isinstance(data[0], LoadedLog):
+        data = (data[0].log,)
     if len(data) == 1 and is_frame(data[0]):
         t, y, u = _of_frame(plant, data[0], absent_sensors, other_columns, nominal_inputs)
     elif len(data) == 1 and all(hasattr(data[0], what) for what in ("t", "y", "u")):

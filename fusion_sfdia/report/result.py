@@ -74,17 +74,25 @@ class Result(Diagnosis):
         """
         return cls(**{f.name: getattr(found, f.name) for f in fields(found)}, **readings)
 
-    def plot(self) -> Figure:
+    def plot(self, path: str | Path | None = None) -> Figure:
         """Readings and reconstructions of the sensors that have events (of the first sensor if none has) as a Figure.
+
+        Parameters
+        ----------
+        path : str or Path, optional
+            A file to save it in, such as "found.png", in the format of its ending.
 
         Returns
         -------
         Figure
-            Not shown and not saved.
+            Not shown.
         """
         from fusion_sfdia.report.log_report import draw
 
-        return draw(*self._shown())
+        figure = draw(*self._shown())
+        if path is not None:
+            figure.savefig(path)
+        return figure
 
     def report(self, path: str | Path) -> Path:
         """Write the report as one HTML file, whole or not at all, and return its path.

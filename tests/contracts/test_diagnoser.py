@@ -62,7 +62,9 @@ def test_a_result_is_drawn_and_reported_in_the_tags_and_units_of_its_file(log: s
         found = sfdia.diagnose("loo-glr", tmp_path / "log.csv", plant=PLANT, log_map=tmp_path / "map.toml")
     page = found.report(tmp_path / "x.html").read_text()
     assert "LT-101" in page and "log.csv" in page and "loo-glr" in page
-    assert any("LT-101" in axes.get_ylabel() for axes in found.plot().axes)
+    assert any("LT-101" in axes.get_ylabel() for axes in found.plot(tmp_path / "found.png").axes)
+    assert (tmp_path / "found.png").read_bytes().startswith(b"\x89PNG")
+    (tmp_path / "found.png").unlink()
     assert {p.name for p in tmp_path.iterdir()} == {"log.csv", "map.toml", "x.html"}
     with pytest.raises(ValueError, match=r"expected a file that ends in \.html"):
         found.report(tmp_path / "folder")

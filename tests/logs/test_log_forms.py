@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from toy_plants import Array, readings, tanks
 
+from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors.data_driven.fixed_limits import FixedLimits
 from fusion_sfdia.detectors.detector import Decision, run
 from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.logs.check import check_log
+from fusion_sfdia.logs.loaded_log import LoadedLog
 from fusion_sfdia.logs.log_forms import as_log
 from fusion_sfdia.models.marine_engine.plant import marine_engine
 from fusion_sfdia.plant.log import Log, one_run
@@ -256,3 +258,11 @@ def test_dates_of_pandas_as_times_are_not_seconds() -> None:
         with pytest.raises(ValueError, match="looks like milli-, micro- or nanoseconds since 1970; pass seconds"):
             as_log(PLANT, unit * (1.7e9 + log.t), log.y, log.u)
     np.testing.assert_array_equal(as_log(PLANT, 1.7e9 + log.t, log.y, log.u).t, 1.7e9 + log.t)
+
+
+def test_what_was_loaded_is_a_log() -> None:
+    plant = tanks()
+    t, _, y, u = readings(plant, 5, 1, seed=0)
+    loaded = LoadedLog(Log(t, y[:, 0], u[:, 0]), Clock(), ())
+    for one, other in zip(as_log(plant, loaded), loaded.log, strict=True):
+        np.testing.assert_array_equal(one, other)
