@@ -33,9 +33,8 @@ Array = NDArray[Any]
 LONGEST, PARTS, ROWS = 12, 4, 2000  # rows of a lag at most; parts of the log that agree; rows of it that are looked at
 FEWEST = 12  # readings of a part
 CANDIDATES, LARGE = 4, 1.2  # sensors that are looked at, with a mean square of residuals in standard deviations above
-EVIDENCE = (
-    8.0  # by which log L is larger with the lag: more than ln(n) / 2 for its parameter (BIC) and ln `LONGEST` for the choice
-)
+# by which log L is larger with the lag: more than ln(n) / 2 for its parameter (BIC) and ln `LONGEST` for the choice
+EVIDENCE = 8.0
 SHARE = 0.1  # of the samples in alarm that a lag explains at least
 FOLLOWS, MOST_SD = 3.0, 10.0  # standard errors of a correlation; residuals in standard deviations that it takes as they are
 MOST = 3  # late sensors
