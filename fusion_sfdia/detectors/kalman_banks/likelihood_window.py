@@ -167,11 +167,11 @@ def weigh(now: Shifted, step: WindowStep, effect: Effect) -> Weighed:
     alike = effect.state is None and D.ndim == 1 and len(step.A) == len(step.seen) == 1
     old = contiguous(single(before.eta) if alike else before.eta)
     eta, b = np.empty_like(old), contiguous(single(b) if len(old) == 1 else b)
-    change = np.empty((1, step.A.shape[-1], 0)) if effect.state is None else of_runs(effect.state, 2)
+    change = np.empty((1, step.A.shape[-1], 0)) if effect.state is None else effect.state
     readings = D if D.ndim > 1 else repeated(D[None], age)
     window_kernels.weighed(
         old, eta, contiguous(a), b, contiguous(age), places, step.A, step.leading, step.FK,
-        contiguous(single(before.readings)), contiguous(change.astype(kind, copy=False)), effect.once, step.half, step.seen,
+        contiguous(single(before.readings)), of_runs(change.astype(kind, copy=False), 2), effect.once, step.half, step.seen,
         step.scores, contiguous(single(readings)),
     )  # fmt: skip
     return Weighed(repeated(eta, a), readings, a, repeated(b, a), age, step.H[0] if len(step.H) == 1 else step.H)

@@ -99,8 +99,7 @@ def nothing_shown(batch: tuple[int, ...], sensors: int) -> ReadingNoise:
 def learnt(now: ReadingNoise, found: LeaveOneOut, where: Array) -> ReadingNoise:
     """With the readings of a sample, in runs `where` (...) holds; sensors that are not used keep what is known of them."""
     given = map(contiguous, (found.whitened, found.weight, found.used, where))
-    after = _learnt(larger_from(now.size.shape[-1]), *given, *map(np.array, now))
-    return ReadingNoise(*(a.reshape(v.shape) for a, v in zip(after, now, strict=True)))
+    return ReadingNoise(*_learnt(larger_from(now.size.shape[-1]), *given, *(np.array(v, order="C") for v in now)))
 
 
 def larger_from(sensors: int) -> float:
