@@ -10,6 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import prod
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -19,7 +20,7 @@ from fusion_sfdia.common.order_statistics import order_statistic
 from fusion_sfdia.detectors.detector import Claims, Decision, check_reading
 from fusion_sfdia.detectors.health import keep_broken_out, of_runs, without_broken, without_readings
 from fusion_sfdia.detectors.silent import silent, silent_scores
-from fusion_sfdia.detectors.state import State, as_batch, as_single, leaves
+from fusion_sfdia.detectors.state import State, as_batch, as_single, leaves, mapped, with_runs
 from fusion_sfdia.detectors.verdicts import FAR, far_off, judged
 from fusion_sfdia.logs.log_forms import as_log
 from fusion_sfdia.plant.border import InputLimits
@@ -111,11 +112,11 @@ class BatchDetector(Claims, ABC):
 
     @abstractmethod
     def _start(self, batch: tuple[int, ...], seed: int) -> Any:
-        """The memory of a batch at the plant's x0."""
+        """The memory of a batch of one axis at the plant's x0."""
 
     @abstractmethod
     def _judge(self, memory: Any, now: TimeStep, y: Array, u: Array) -> tuple[Any, Decision]:
-        """The memory after the readings y (*batch, N) under the input u (*batch, m), of a batch with at least one axis.
+        """The memory after the readings y (B, N) of B runs under the input u (B, m).
 
         `diverged` of the Decision states whether the estimate broke down in this step.
         """
@@ -243,10 +244,11 @@ class BatchDetector(Claims, ABC):
         shape, t, seed = batch_shape(batch), number("t", t), whole("seed", seed, least=0)
         if not np.isfinite(t) or seed >= 2**64:
             raise ValueError(f"t is {t}, seed {seed}; expected a finite time in seconds and a seed below 2^64")
+        memory = self._start((prod(shape),), seed)
+        if len(shape) != 1:
+            memory = mapped(lambda a: a.reshape((*shape, *a.shape[1:])), memory)
         never = np.full(shape, -1)
-        return State(
-            np.array(seed, np.uint64), np.array(0), np.array(t), np.zeros(shape, bool), never, self._start(shape, seed)
-        )
+        return State(np.array(seed, np.uint64), np.array(0), np.array(t), np.zeros(shape, bool), never, memory)
 
     def step(self, state: State, t: float, y: Array, u: Array) -> tuple[State, Decision]:
         """Diagnose readings under the input that acted until then.
@@ -282,6 +284,8 @@ class BatchDetector(Claims, ABC):
         single = batch == ()
         given = floats("y", y)
         y, applied = check_reading(self.plant, given, u, batch)
+        if len(batch) > 1:
+            return self._step_of_axes(batch, state, t, given, applied)
         now = self._time_step(state, number("t", t))
         u = self._input_limits.applied(now.t_start, now.dt, applied)
         taken = y, u, np.isnan(y) & ~np.isnan(given), u != applied
@@ -316,8 +320,18 @@ class BatchDetector(Claims, ABC):
             found = {name: None if a is None else a[0, ...] for name, a in found.items()}
         return State(state.seed, np.array(now.k), np.array(now.t), diverged, far, after), Decision(**found)
 
+    def _step_of_axes(self, batch: tuple[int, ...], state: State, t: float, y: Array, u: Array) -> tuple[State, Decision]:
+        """A step of a batch of several axes, whose runs are stepped as one of a single axis."""
+        count = prod(batch)
+        flat = with_runs(state, lambda a: a.reshape(count, *a.shape[len(batch) :]))
+        after, found = self.step(flat, t, y.reshape(count, y.shape[-1]), u.reshape(count, u.shape[-1]))
+        arrays: dict[str, Any] = {
+            name: None if a is None else a.reshape(*batch, *a.shape[1:]) for name, a in vars(found).items()
+        }
+        return with_runs(after, lambda a: a.reshape(*batch, *a.shape[1:])), Decision(**arrays)
+
     def _all_far(self, decision: Decision, expected: Decision, y: Array) -> Array:
-        """Whether all readings y (*batch, N), and at least two, are `FAR` thresholds from those expected without them."""
+        """Whether all readings y (B, N), and at least two, are `FAR` thresholds from those expected without them."""
         known = np.isfinite(decision.threshold)
         limit = np.where(known, decision.threshold / self.threshold_scale, 3.0 * self.plant.sensor_sigma)
         distance = np.abs(self.plant.near(y, expected.reconstruction) - expected.reconstruction)
@@ -371,8 +385,8 @@ class BatchDetector(Claims, ABC):
     @cached_property
     def _layout(self) -> tuple[type, list[tuple[int, ...]]]:
         """The class of the memory and the shapes of its arrays in a single run."""
-        memory = self._start((), 0)
-        return type(memory), [a.shape for a in leaves(memory)]
+        memory = self._start((1,), 0)
+        return type(memory), [a.shape[1:] for a in leaves(memory)]
 
     def _batch_of(self, state: State) -> tuple[int, ...]:
         """The shape of the state's batch; ValueError where it is no state of this detector."""

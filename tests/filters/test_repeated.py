@@ -33,10 +33,10 @@ def uses(batch: tuple[int, ...]) -> Array:
     """All readings; all but one quantity's; but the first of its quantity; none."""
     used = np.ones((RUNS, SENSORS), bool)
     used[1, [7, 14]], used[2, [0, 1, 5]], used[3] = False, False, False
-    return used if batch == (RUNS,) else used.reshape(*batch, SENSORS) if batch else used[2]
+    return used if batch == (RUNS,) else used[2:3]
 
 
-@pytest.mark.parametrize("batch", [(), (RUNS,), (2, 2)], ids=str)
+@pytest.mark.parametrize("batch", [(1,), (RUNS,)], ids=str)
 def test_statistics_and_estimates_are_those_of_the_whole_covariance(batch: tuple[int, ...]) -> None:
     joint, used = joint_of(batch), uses(batch)
     y = joint.y + np.random.default_rng(1).normal(size=joint.y.shape) * 3
@@ -58,12 +58,13 @@ def test_a_run_has_the_bits_it_has_alone() -> None:
     y = joint.y + 1.0
     together = statistics(joint, y, used)
     for r in range(RUNS):
-        one = joint._replace(x=joint.x[r], P=joint.P[r], y=joint.y[r], S=joint.S[r], C=joint.C[r])
-        alone = statistics(one, y[r], used[r])
+        of = slice(r, r + 1)
+        one = joint._replace(x=joint.x[of], P=joint.P[of], y=joint.y[of], S=joint.S[of], C=joint.C[of])
+        alone = statistics(one, y[of], used[of])
         for name in ("whitened", "weight", "inverse", "used", "half", "scores"):
-            np.testing.assert_array_equal(getattr(together, name)[r], getattr(alone, name))
+            np.testing.assert_array_equal(getattr(together, name)[of], getattr(alone, name))
         for a, b in zip(posterior(joint, together), posterior(one, alone), strict=True):
-            np.testing.assert_array_equal(a[r], b)
+            np.testing.assert_array_equal(a[of], b)
 
 
 def test_rows_that_are_no_longer_the_same_are_taken_one_by_one() -> None:

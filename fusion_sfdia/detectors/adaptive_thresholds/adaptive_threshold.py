@@ -29,7 +29,7 @@ lambda_h d_chi the sum of |dh/dv| d over all other readings v of h, also local o
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any, NamedTuple
 
@@ -49,7 +49,6 @@ from fusion_sfdia.detectors.adaptive_thresholds.monitored_plant import (
 from fusion_sfdia.detectors.adaptive_thresholds.monitoring import Settings, decide, monitor, quantities_of
 from fusion_sfdia.detectors.batch_detector import BatchDetector, TimeStep, without_false_alarms
 from fusion_sfdia.detectors.detector import Decision
-from fusion_sfdia.detectors.state import mapped
 from fusion_sfdia.plant.modules import Modules, ObserverBound
 
 Array = NDArray[Any]
@@ -248,10 +247,6 @@ class AdaptiveThreshold(BatchDetector):
         )
 
     def _judge(self, memory: MonitoringMemory, now: TimeStep, y: Array, u: Array) -> tuple[MonitoringMemory, Decision]:
-        if (axes := y.ndim - 1) > 1:
-            flat, y_flat, u_flat = mapped(lambda a: a.reshape(-1, *a.shape[axes:]), (memory, y, u))
-            after, decision = self._judge(flat, now, y_flat, u_flat)
-            return mapped(lambda a: a.reshape(*y.shape[:-1], *a.shape[1:]), after), nested(decision, y.shape[:-1])
         x, error, before, fired, elapsed = memory
         extra, variable, scale = self._layers
         y = plain(y)
@@ -288,10 +283,3 @@ class AdaptiveThreshold(BatchDetector):
                 c, start = self.observer_bounds[variable], self.half_width[e]
                 error[:, e] = c.threshold(t, start, self._bound[e], self._steepness[e, e], self._others[e])
         return error
-
-
-def nested(decision: Decision, batch: tuple[int, ...]) -> Decision:
-    """The decision of a batch with one axis, reshaped to the given batch shape."""
-    arrays = (getattr(decision, f.name) for f in fields(Decision))
-    shaped: list[Any] = [a if a is None or not a.ndim else a.reshape(*batch, *a.shape[1:]) for a in arrays]
-    return Decision(*shaped)

@@ -176,10 +176,8 @@ class VirtualSensors(BatchDetector):
         return memory
 
     def _judge(self, memory: FaultMemory, now: TimeStep, y: Array, u: Array) -> tuple[FaultMemory, Decision]:
-        shape, scale, of = y.shape[:-1], self.plant.sensor_scale, self.thresholds
-        m = FaultMemory(*(a.reshape(-1, a.shape[-1]) for a in memory))
-        reading = np.ascontiguousarray((y / scale)[..., of._sensor].reshape(len(m.x), -1))
-        u = u.reshape(len(m.x), -1)
+        m, runs, scale, of = memory, len(y), self.plant.sensor_scale, self.thresholds
+        reading = np.ascontiguousarray((y / scale)[:, of._sensor])
         bounds = self._step_modules(m, reading, u, now.dt)
         while np.any(fresh := bounds.firing & ~m.isolated):
             m, bounds = self._isolate(m, bounds, fresh, reading, u, now.dt)
@@ -190,20 +188,20 @@ class VirtualSensors(BatchDetector):
         usable = np.isfinite(reading) & ~(m.isolated & np.isnan(m.size))
         healthy = np.where(usable, reading - np.where(m.isolated, size, 0.0), middle)
         of_sensors = (a[:, of._variable] for a in (healthy, residual, np.where(m.isolated, size, np.nan)))
-        healthy, residual, size = ((a * scale).reshape(y.shape) for a in of_sensors)
-        isolated = m.isolated[:, of._variable].reshape(y.shape)
+        healthy, residual, size = (a * scale for a in of_sensors)
+        isolated = m.isolated[:, of._variable]
         decision = Decision(
-            estimate=bounds.x.reshape(*shape, -1),
+            estimate=bounds.x,
             reconstruction=np.where(np.isfinite(y) & ~isolated, y, healthy),
             residual=residual,
-            threshold=(threshold[:, of._variable] * np.abs(scale)).reshape(y.shape),
+            threshold=threshold[:, of._variable] * np.abs(scale),
             isolated=isolated,
             fault_size=size,
-            diverged=~np.all(np.isfinite(middle), axis=-1).reshape(shape),
-            guarded=np.zeros(shape, bool),
-            nis=np.full(shape, np.nan),
+            diverged=~np.all(np.isfinite(middle), axis=-1),
+            guarded=np.zeros(runs, bool),
+            nis=np.full(runs, np.nan),
         )
-        return FaultMemory(*(a.reshape(*shape, -1) for a in m)), decision
+        return m, decision
 
     def _step_modules(self, m: FaultMemory, reading: Array, u: Array, dt: float) -> ModuleBounds:
         """A step of the modules on reconstructed readings, without correction of the observers of isolated sensors."""

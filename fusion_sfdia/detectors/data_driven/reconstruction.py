@@ -62,8 +62,7 @@ class ReconstructionDetector(IsolatingDetector):
         return LaggedReadings(np.full((*batch, len(self.plant.sensors), self.model.lags), np.nan))
 
     def _judge(self, memory: LaggedReadings, now: TimeStep, y: Array, u: Array) -> tuple[LaggedReadings, Decision]:
-        past = memory.past
-        window = np.concatenate([y[..., None], past], axis=-1).reshape(-1, y.shape[-1], self.model.lags + 1)
+        window = np.concatenate([y[..., None], memory.past], axis=-1)
         found = self.model.reconstruct(window)
         excess, known = self.excess(found) / self.threshold_scale, np.isfinite(window[..., 0])
         isolated = self._isolate(window, excess > 1, found.contribution)
@@ -72,15 +71,13 @@ class ReconstructionDetector(IsolatingDetector):
         if named.any():
             trusted = np.where(isolated[named][..., None], np.nan, window[named])
             reconstruction[named] = self.model.present(self.model.reconstruct(trusted).x)
-        flat = y.reshape(-1, y.shape[-1])
-        reconstruction = np.where(known & ~isolated, flat, reconstruction)
+        reconstruction = np.where(known & ~isolated, y, reconstruction)
         residual = np.where(known, found.error * self.model.scale, np.nan)
         weight = np.max(found.contribution, axis=-1, keepdims=True) / excess[:, None]
         threshold = np.abs(residual) * weight / found.contribution
         threshold = np.where(threshold > 0, threshold, np.inf)  # 0 / 0 without a reading
-        shown_as = (a.reshape(y.shape) for a in (flat, reconstruction, residual, threshold, isolated))
-        after = window[..., : self.model.lags].reshape(past.shape)
-        return LaggedReadings(after), without_model(self.plant, *shown_as)
+        decision = without_model(self.plant, y, reconstruction, residual, threshold, isolated)
+        return LaggedReadings(window[..., : self.model.lags].copy()), decision
 
     def _isolate(self, window: Array, alarm: Array, contribution: Array) -> Array:
         """The sensors (B, N) whose reconstruction brings the statistic within its limit."""

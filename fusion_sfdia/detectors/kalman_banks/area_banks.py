@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,6 +47,16 @@ class AreaBank(RobustBank):
     @cached_property
     def _hypotheses(self) -> Hypotheses:
         return Hypotheses(self.plant, self.usual)
+
+    @cached_property
+    def _of_runs(self) -> dict[int, AreaBank]:
+        """By number of runs the bank on the M areas of all of them, one run after the other."""
+        return {}
+
+    def _step_of_axes(self, batch: tuple[int, ...], state: State, t: float, y: Array, u: Array) -> tuple[State, Decision]:
+        if (runs := prod(batch[:-1])) not in self._of_runs:
+            self._of_runs[runs] = replace(self, usual=np.tile(self.usual, (runs, 1)))
+        return RobustBank._step_of_axes(self._of_runs[runs], batch, state, t, y, u)
 
     @cached_property
     def _by_load(self) -> int:

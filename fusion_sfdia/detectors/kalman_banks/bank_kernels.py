@@ -16,18 +16,14 @@ from fusion_sfdia.derivatives.equation import compiled
 Array = NDArray[Any]
 
 
-def runs(a: Array, batch: tuple[int, ...]) -> Array:
-    """An array (*batch, ..) as (B, ..), contiguous and writeable, so that one type of arguments is compiled."""
-    rows = a if len(batch) == 1 else a.reshape(-1, *a.shape[len(batch) :])
-    return rows if rows.flags.carray else np.array(rows, order="C")
+def contiguous(a: Array) -> Array:
+    """An array as compiled loops take it, contiguous and writeable: one type of arguments is compiled."""
+    return a if a.flags.carray else np.array(a, order="C")
 
 
-def common(a: Array, batch: tuple[int, ...], axes: int) -> Array:
-    """An array (*batch, ..) or (..) of so many axes of its own as (B, ..) or (1, ..)."""
-    if a.ndim == axes:
-        return runs(a[None], (1,))
-    lead = a.shape[: a.ndim - axes]
-    return runs(a if lead == batch else np.broadcast_to(a, (*batch, *a.shape[a.ndim - axes :])), batch)
+def of_runs(a: Array, axes: int) -> Array:
+    """An array of so many axes of its own, (B, ..) or the same for all runs (..), as (B, ..) or (1, ..), contiguous."""
+    return contiguous(a if a.ndim > axes else a[None])
 
 
 @compiled

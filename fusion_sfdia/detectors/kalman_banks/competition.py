@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.detectors.kalman_banks import bank_kernels, window_kernels
+from fusion_sfdia.detectors.kalman_banks import window_kernels
+from fusion_sfdia.detectors.kalman_banks.bank_kernels import contiguous, of_runs
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import LeaveOneOut, eliminate, one_hot, value_at
 from fusion_sfdia.detectors.kalman_banks.likelihood_window import Best, averaged
 
@@ -89,13 +90,9 @@ def gathered(recent: Best, slow: Best, age: Array, one_sample: Array, handicap: 
 
     age (..., L): of the onsets of the slow window.
     """
-    batch, count = one_sample.shape[:-1], one_sample.shape[-1]
-    r, s = (tuple(bank_kernels.runs(v, batch) for v in best) for best in (recent, slow))
-    found, far, level = window_kernels.merged(
-        r[:4], s[:4], s[4], bank_kernels.runs(age, batch), bank_kernels.common(handicap, batch, 1), AS_BIAS
-    )
-    if len(batch) != 1:
-        found, far, level = found.reshape(4, *batch, -1), far.reshape(*batch, -1), level.reshape(*batch, -1)
+    count = one_sample.shape[-1]
+    r, s = (tuple(map(contiguous, best)) for best in (recent, slow))
+    found, far, level = window_kernels.merged(r[:4], s[:4], s[4], contiguous(age), of_runs(handicap, 1), AS_BIAS)
     statistic, size, information, evidence = found
     return Evidence(
         level,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.derivatives.equation import compiled
-from fusion_sfdia.detectors.kalman_banks.bank_kernels import runs
+from fusion_sfdia.detectors.kalman_banks.bank_kernels import contiguous
 
 Array = NDArray[Any]
 
@@ -23,10 +23,8 @@ def disagreement(local: Array, seen: Array, mixed: Array, scale: Array) -> tuple
 
         variance_s = sum_i (seen_is - mean_s)^2 / N,    distance_i = |(x_i - x_m) / scale|
     """
-    batch = local.shape[:-2]
-    x, y, x_m = (runs(a, batch) for a in (local, seen, mixed))
-    variance, distance = _disagreement(x, y, x_m, scale)
-    return variance.reshape(*batch, -1), distance.reshape(*batch, -1)
+    variance, distance = _disagreement(contiguous(local), contiguous(seen), contiguous(mixed), scale)
+    return variance, distance
 
 
 @compiled

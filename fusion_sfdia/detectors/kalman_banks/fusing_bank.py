@@ -264,13 +264,12 @@ class FusingBank(AccommodatingDetector):
         """The core of the filter, with an axis N after the batch when literal."""
         core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
         if self.runs_literally:
-            axis, count = len(batch), len(self.plant.sensors)
-            core = mapped(lambda a: np.repeat(np.expand_dims(a, axis), count, axis=axis), core)
+            core = mapped(lambda a: np.repeat(a[:, None], len(self.plant.sensors), axis=1), core)
         return core
 
     def _judge(self, memory: Core, now: TimeStep, y: Array, u: Array) -> tuple[Core, Decision]:
         plant, scale = self.plant, np.asarray(self.residual_scale or self.plant.state_scale)
-        prior = self._predict(memory, y.ndim - 1, now, u)
+        prior = self._predict(memory, now, u)
         joint = self.estimator.joint(plant, prior[0], now.t, u)
         y = plant.near(y, joint.y)
         used = np.isfinite(y)
@@ -329,11 +328,11 @@ class FusingBank(AccommodatingDetector):
         variance, distance = disagreement(local, seen, x, scale)
         return seen, np.where(used, np.sqrt(variance), np.nan), distance
 
-    def _predict(self, core: Core, axis: int, now: TimeStep, u: Array) -> list[Prior]:
-        """The prior of each local filter, or their common prior; axis: that of the filters in a literal core."""
+    def _predict(self, core: Core, now: TimeStep, u: Array) -> list[Prior]:
+        """The prior of each local filter, or their common prior."""
         cores, plants = [core], [self.plant]
         if self.runs_literally:
-            cores = [mapped(lambda a, i=i: np.take(a, i, axis=axis), core) for i in range(len(self.plant.sensors))]
+            cores = [mapped(lambda a, i=i: a[:, i], core) for i in range(len(self.plant.sensors))]
             plants = self._plants
         return [
             self.estimator.predict(plant, c, now.t_start, u, now.dt, drawn_by(self.estimator, now.seed, now.k))

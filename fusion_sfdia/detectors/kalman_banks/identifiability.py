@@ -237,10 +237,10 @@ def _limits(plant: Plant, added: int, samples: float, settle: int) -> _Limits:
     """The limits of a filter on the plant, with jumps of its last `added` states as hypotheses of the process."""
     count = len(plant.sensors)
     window = empty(
-        (), OnsetGrid(2), len(plant.states), count + added, float
+        (1,), OnsetGrid(2), len(plant.states), count + added, float
     )  # of biases and jumps, and of ramps, with one onset
-    window.eta[0, len(plant.states) - added :, count:] = -np.eye(added)
-    last, never = no_update((), len(plant.states), count), np.array(False)
+    window.eta[0, 0, len(plant.states) - added :, count:] = -np.eye(added)
+    last, never = no_update((1,), len(plant.states), count), np.zeros(1, bool)
     common, crossed = np.zeros((count + added, count + added)), np.zeros((count, added))
     before = np.full(count, np.inf)
     for k, update in enumerate(islice(_healthy_updates(plant), settle, settle + LAST), start=1):
@@ -248,12 +248,12 @@ def _limits(plant: Plant, added: int, samples: float, settle: int) -> _Limits:
         now = Shifted(window, np.arange(2), window.a, window.b, window.age + 1)
         step = window_step(last, tangent, output_jacobian, found, float)
         weighed = weigh(now, step, Effect(np.array([1.0, k])))
-        M, of_ramps = weighed.M[0], weighed.M[1, :, :count]
-        common += M.T @ found.inverse @ M
-        crossed += of_ramps.T @ found.inverse @ M[:, count:]
+        M, of_ramps = weighed.M[0, 0], weighed.M[0, 1, :, :count]
+        common += M.T @ found.inverse[0] @ M
+        crossed += of_ramps.T @ found.inverse[0] @ M[:, count:]
         window, last = updated(weighed, never), last_update(step, K, never)
         if k == samples or (samples == np.inf and k >= FIRST and (k & (k - 1) == 0 or k == LAST)):
-            limits = _of(common, window.b[1, :count], crossed, k)
+            limits = _of(common, window.b[0, 1, :count], crossed, k)
             if k in (samples, LAST) or np.all(limits.bias >= (1 - SETTLED) * before):
                 return limits
             before = limits.bias
@@ -272,7 +272,7 @@ class _Update(NamedTuple):
 def _healthy_updates(plant: Plant) -> Iterator[_Update]:
     """The updates of an extended Kalman filter along the usual operation, with readings as it expects them."""
     estimator, none = Extended(), step_stream(0, 0)
-    state = estimator.start(plant, (), none)
+    state = estimator.start(plant, (1,), none)
     for k in count_from(0):
         t_start, t = k * plant.dt, (k + 1) * plant.dt
         u = plant.input_at(t_start)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.alike import repeated, single
-from fusion_sfdia.detectors.kalman_banks import bank_kernels
+from fusion_sfdia.detectors.kalman_banks.bank_kernels import conditioned, contiguous, mean_square, of_runs
 from fusion_sfdia.filters.factors import inverted, squares_of_rows
 from fusion_sfdia.filters.gaussian import Joint, consider, half_inverse, rounding, without_considered
 from fusion_sfdia.filters.repeated import Repeated, mean_covariance, spread
@@ -80,13 +80,7 @@ def statistics(joint: Joint, y: Array, used: Array) -> LeaveOneOut:
     used = used & np.isfinite(y)
     d = np.where(used, y, joint.y) - joint.y
     if _few_readings(joint):
-        batch, N = d.shape[:-1], d.shape[-1]
-        half, s_inv, scores, whitened, weight = inverted(
-            bank_kernels.common(joint.S, batch, 2), bank_kernels.runs(d, batch), bank_kernels.runs(used, batch)
-        )
-        if len(batch) > 1:
-            half, s_inv = half.reshape(*batch, N, N), s_inv.reshape(*batch, N, N)
-            scores, whitened, weight = (v.reshape(*batch, N) for v in (scores, whitened, weight))
+        half, s_inv, scores, whitened, weight = inverted(contiguous(joint.S), contiguous(d), contiguous(used))
         return LeaveOneOut(whitened, weight, s_inv, used, half, scores)
     half, rank = half_and_rank(joint, used)
     scores = (np.swapaxes(half, -1, -2) @ d[..., None])[..., 0]
@@ -109,12 +103,11 @@ def half_and_rank(joint: Joint, used: Array) -> tuple[Array, int | None]:
 
 def half_of_repeated(sensors: Repeated, S: Array, used: Array) -> Array:
     """U (..., N, N), see `filters.repeated`; (1, N, N) where all runs have the same S and use all readings."""
-    batch, N = used.shape[:-1], used.shape[-1]
-    of_runs, in_use = bank_kernels.runs(single(S), batch), bank_kernels.runs(used, batch)
-    if len(batch) == 1 and len(of_runs) == 1 and used.all():
-        batch, in_use = (1,), in_use[:1]
-    V = half_inverse(mean_covariance(of_runs, in_use, *sensors))
-    return np.asarray(spread(V, in_use, *sensors).reshape(*batch, N, N))
+    S, in_use = contiguous(single(S)), contiguous(used)
+    if len(S) == 1 and used.all():
+        in_use = in_use[:1]
+    V = half_inverse(mean_covariance(S, in_use, *sensors))
+    return np.asarray(spread(V, in_use, *sensors))
 
 
 def eliminate(found: LeaveOneOut, worst: Array, where: Array) -> LeaveOneOut:
@@ -168,13 +161,10 @@ def _written_out(joint: Joint, found: LeaveOneOut) -> bool:
 
 
 def _conditioned(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array, Array]:
-    batch, (n, N) = joint.x.shape[:-1], joint.C.shape[-2:]
     given = joint.C, _half(joint, found), found.inverse, joint.P
-    C, half, inverse, P = (bank_kernels.common(single(v), batch, 2) for v in given)
-    x, whitened = (bank_kernels.runs(v, batch) for v in (joint.x, found.whitened))
-    x, p, K = bank_kernels.conditioned(x, whitened, C, half, inverse, P, rounding(joint))
-    if len(batch) > 1:
-        x, p, K = x.reshape(*batch, n), p.reshape(*batch, n, n), K.reshape(*batch, n, N)
+    C, half, inverse, P = (of_runs(single(v), 2) for v in given)
+    x, whitened = contiguous(joint.x), contiguous(found.whitened)
+    x, p, K = conditioned(x, whitened, C, half, inverse, P, rounding(joint))
     return *consider(joint, x, repeated(p, x)), without_considered(joint, K)
 
 
@@ -203,9 +193,7 @@ def local_covariances(joint: Joint, found: LeaveOneOut, gains: Array) -> Array:
 
 def normalised_innovation_squared(joint: Joint, found: LeaveOneOut, y: Array) -> Array:
     """Return d' S^-1 d over the readings used, divided by their number (...): 1 on average for a consistent filter."""
-    batch = found.used.shape[:-1]
-    mean = bank_kernels.mean_square(*(bank_kernels.runs(v, batch) for v in (y, joint.y, found.whitened, found.used)))
-    return mean if len(batch) == 1 else mean.reshape(batch)
+    return np.asarray(mean_square(*map(contiguous, (y, joint.y, found.whitened, found.used))))
 
 
 def one_hot(index: Array, count: int) -> Array:

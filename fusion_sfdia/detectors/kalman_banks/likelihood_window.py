@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.alike import for_all, repeated, single
-from fusion_sfdia.detectors.kalman_banks import bank_kernels, window_kernels, window_step
+from fusion_sfdia.detectors.kalman_banks import window_kernels, window_step
+from fusion_sfdia.detectors.kalman_banks.bank_kernels import contiguous, of_runs
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import LeaveOneOut, value_at
 from fusion_sfdia.detectors.kalman_banks.window_step import WindowStep
 
@@ -151,9 +152,8 @@ def empty(batch: tuple[int, ...], grid: OnsetGrid, states: int, hypotheses: int,
 def shifted(window: Window, grid: OnsetGrid, step: int) -> Shifted:
     """Return the window with the present step as an onset, where the grid has it, and the other onsets in their slots."""
     places = np.arange(grid.slots) if (moves := grid.moves(step)) is None else moves
-    batch = window.age.shape[:-1]
-    a, b, age = (bank_kernels.runs(v, batch) for v in (window.a, single(window.b), window.age))
-    a, b, age = (_of_batch(v, batch) for v in window_kernels.shift(a, b, age, places))
+    a, b, age = (contiguous(v) for v in (window.a, single(window.b), window.age))
+    a, b, age = window_kernels.shift(a, b, age, places)
     return Shifted(window, places, a, repeated(b, a), age)
 
 
@@ -163,30 +163,18 @@ def weigh(now: Shifted, step: WindowStep, effect: Effect) -> Weighed:
     Where all runs have the same transition and the same hypotheses, such as biases, eta and b are computed once.
     """
     before, places, a, b, age = now
-    kind, batch, D = before.eta.dtype, age.shape[:-1], effect.readings
+    kind, D = before.eta.dtype, effect.readings
     alike = effect.state is None and D.ndim == 1 and len(step.A) == len(step.seen) == 1
-    old, change = (
-        bank_kernels.runs(single(before.eta) if alike else before.eta, batch),
-        np.empty((1, step.A.shape[-1], 0), kind),
-    )
-    b = bank_kernels.runs(single(b) if len(old) == 1 else b, batch)
-    if effect.state is not None:
-        change = bank_kernels.common(effect.state.astype(kind, copy=False), batch, 2)
-    eta = np.empty_like(old)
-    readings = D if D.shape == age.shape else repeated(D[None], age) if len(batch) == 1 else np.broadcast_to(D, age.shape)
+    old = contiguous(single(before.eta) if alike else before.eta)
+    eta, b = np.empty_like(old), contiguous(single(b) if len(old) == 1 else b)
+    change = np.empty((1, step.A.shape[-1], 0)) if effect.state is None else effect.state
+    readings = D if D.ndim > 1 else repeated(D[None], age)
     window_kernels.weighed(
-        old, eta, bank_kernels.runs(a, batch), b, bank_kernels.runs(age, batch), places, step.A, step.leading, step.FK,
-        bank_kernels.runs(single(before.readings), batch), change, effect.once, step.half, step.seen, step.scores,
-        bank_kernels.runs(single(readings), batch),
+        old, eta, contiguous(a), b, contiguous(age), places, step.A, step.leading, step.FK,
+        contiguous(single(before.readings)), of_runs(change.astype(kind, copy=False), 2), effect.once, step.half, step.seen,
+        step.scores, contiguous(single(readings)),
     )  # fmt: skip
-    H = step.H[0] if len(step.H) == 1 else _of_batch(step.H, batch)
-    eta, b = (_of_batch(v, batch) for v in (eta, b))
-    return Weighed(repeated(eta, a), readings, a, repeated(b, a), age, H)
-
-
-def _of_batch(a: Array, batch: tuple[int, ...]) -> Array:
-    """An array (B, ..) as (*batch, ..)."""
-    return a if len(batch) == 1 else a.reshape(*batch, *a.shape[1:])
+    return Weighed(repeated(eta, a), readings, a, repeated(b, a), age, step.H[0] if len(step.H) == 1 else step.H)
 
 
 def averaged(statistic: Array, expected: Array) -> Array:
@@ -211,14 +199,10 @@ def best_onset(weighed: Weighed, usable: Array, size: Array, first: int = 0, inf
     an onset is that of `averaged`. inflation: of the noise; hypotheses compete by the common one, so that none is favoured, and
     the statistic and information of each are by its own.
     """
-    a, b, batch = weighed.a, weighed.b, weighed.age.shape[:-1]
-    spread = size[None, None] if size.ndim == 1 else bank_kernels.common(size, batch, 2)
-    common, own = NO_INFLATION if inflation is None else (bank_kernels.runs(v, batch) for v in inflation)
-    found = window_kernels.best(
-        bank_kernels.runs(a, batch), bank_kernels.runs(b, batch), bank_kernels.runs(usable, batch), spread, common, own, first,
-        LEAST_INFORMATION,
-    )  # fmt: skip
-    return Best(*(_of_batch(v, batch) for v in found))
+    spread = size[None, None] if size.ndim == 1 else of_runs(size, 2)
+    common, own = NO_INFLATION if inflation is None else map(contiguous, inflation)
+    a, b, usable = (contiguous(v) for v in (weighed.a, weighed.b, usable))
+    return Best(*window_kernels.best(a, b, usable, spread, common, own, first, LEAST_INFORMATION))
 
 
 def with_readings(weighed: Weighed, more: Array) -> Weighed:
@@ -237,11 +221,10 @@ def residual_and_threshold(
     statistic, size and information (..., N) are of the best onset. limits: of the statistics of sample and window; each counts
     in units of its own.
     """
-    batch = found.used.shape[:-1]
-    u, w, used = (bank_kernels.runs(v, batch) for v in (found.whitened, found.weight, found.used))
-    best = [bank_kernels.runs(v, batch) for v in (statistic, size, information)]
-    residual, threshold = window_kernels.residual_and_threshold(u, w, used, best[0], best[1], best[2], *limits)
-    return _of_batch(residual, batch), _of_batch(threshold, batch)
+    u, w, used = map(contiguous, (found.whitened, found.weight, found.used))
+    statistic, size, information = map(contiguous, (statistic, size, information))
+    residual, threshold = window_kernels.residual_and_threshold(u, w, used, statistic, size, information, *limits)
+    return residual, threshold
 
 
 def absorbed(weighed: Weighed, best: Best, which: Array) -> Array:

@@ -31,7 +31,7 @@ from scipy.special import gammainc
 
 from fusion_sfdia.common.alike import single
 from fusion_sfdia.derivatives.equation import compiled, part
-from fusion_sfdia.detectors.kalman_banks import bank_kernels
+from fusion_sfdia.detectors.kalman_banks.bank_kernels import contiguous
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import LeaveOneOut
 from fusion_sfdia.detectors.kalman_banks.likelihood_window import Inflation
 from fusion_sfdia.plant import slow_noise
@@ -98,10 +98,8 @@ def nothing_shown(batch: tuple[int, ...], sensors: int) -> ReadingNoise:
 
 def learnt(now: ReadingNoise, found: LeaveOneOut, where: Array) -> ReadingNoise:
     """With the readings of a sample, in runs `where` (...) holds; sensors that are not used keep what is known of them."""
-    batch = where.shape
-    given = [bank_kernels.runs(v, batch) for v in (found.whitened, found.weight, found.used, where)]
-    after = _learnt(larger_from(now.size.shape[-1]), *given, *(np.array(bank_kernels.runs(v, batch)) for v in now))
-    return ReadingNoise(*(a.reshape(v.shape) for a, v in zip(after, now, strict=True)))
+    given = map(contiguous, (found.whitened, found.weight, found.used, where))
+    return ReadingNoise(*_learnt(larger_from(now.size.shape[-1]), *given, *(np.array(v, order="C") for v in now)))
 
 
 def larger_from(sensors: int) -> float:
@@ -188,10 +186,8 @@ def inflation_of(now: ReadingNoise, age: Array, stated: Array) -> Inflation:
     by its own, where that is more, and by what the model is off; at least by the slow noise that sensors state, together by its
     mean. stated (M, N): what that is of sums over 0 to M - 1 samples, see `plant.slow_noise`; longer ones count as M - 1.
     """
-    batch = age.shape[:-1]
-    given = [*(bank_kernels.runs(v, batch) for v in (age, now.own, now.every, now.spread, now.off)), stated]
-    common, own = _inflation(*given)
-    return Inflation(common.reshape(age.shape), own.reshape(*age.shape, own.shape[-1]))
+    age, own, every, spread, off = map(contiguous, (age, now.own, now.every, now.spread, now.off))
+    return Inflation(*_inflation(age, own, every, spread, off, stated))
 
 
 @compiled
@@ -225,17 +221,13 @@ def clipped(found: LeaveOneOut, variance: Array) -> Clipped:
     """Readings with |e| at most CLIP sqrt(variance) (..., N), the worst clipped first, each at most once."""
     if not (found.chi_square > CLIP**2 * variance).any():
         return Clipped(found, np.zeros((1,) * found.used.ndim))
-    batch = found.used.shape[:-1]
-    u, w, limit = (bank_kernels.runs(v, batch) for v in (found.whitened, found.weight, variance))
+    u, w, limit = map(contiguous, (found.whitened, found.weight, variance))
     if found.half is None:  # of gains at rest
-        after, _ = _clipped(u, w, bank_kernels.runs(single(found.inverse), batch), u[:, :0], CLIP * np.sqrt(limit), True)
-        after = after.reshape(found.whitened.shape)
+        after, _ = _clipped(u, w, contiguous(single(found.inverse)), u[:, :0], CLIP * np.sqrt(limit), True)
         return Clipped(replace(found, whitened=after), found.whitened - after)
     assert found.scores is not None
-    scores = bank_kernels.runs(found.scores, batch)
-    half = bank_kernels.runs(found.half[:1] if found.half.strides[0] == 0 else found.half, batch)
-    after, turned = _clipped(u, w, half, scores, CLIP * np.sqrt(limit), False)
-    after, turned = after.reshape(found.whitened.shape), turned.reshape(found.scores.shape)
+    half = contiguous(found.half[:1] if found.half.strides[0] == 0 else found.half)
+    after, turned = _clipped(u, w, half, contiguous(found.scores), CLIP * np.sqrt(limit), False)
     return Clipped(replace(found, whitened=after, scores=turned), found.whitened - after)
 
 

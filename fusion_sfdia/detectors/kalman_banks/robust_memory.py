@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.detectors.exclusion import Exclusion, none_excluded
-from fusion_sfdia.detectors.kalman_banks import bank_kernels
+from fusion_sfdia.detectors.kalman_banks.bank_kernels import contiguous, mean_of_others
 from fusion_sfdia.detectors.kalman_banks.fresh_look import Look, no_look
 from fusion_sfdia.detectors.kalman_banks.hypotheses import Hypotheses
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import LeaveOneOut
@@ -84,9 +84,7 @@ def empty_memory(
 
 def faded(nis: Array, found: LeaveOneOut) -> Array:
     """The running mean nis (...) with a sample, without the sensor that explains most of it: another fault may begin there."""
-    batch = nis.shape
-    now = bank_kernels.mean_of_others(bank_kernels.runs(found.chi_square, batch), bank_kernels.runs(found.used, batch))
-    return np.asarray(nis + FADING * (now.reshape(batch) - nis))
+    return np.asarray(nis + FADING * (mean_of_others(contiguous(found.chi_square), contiguous(found.used)) - nis))
 
 
 def leaves_unexplained(nis: Array) -> Array:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.alike import for_all, repeated, single
-from fusion_sfdia.detectors.kalman_banks.bank_kernels import common, runs
+from fusion_sfdia.detectors.kalman_banks.bank_kernels import contiguous, of_runs
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import LeaveOneOut
 from fusion_sfdia.detectors.kalman_banks.window_kernels import transition
 
@@ -65,22 +65,19 @@ def window_step(
     with them only those are taken whose factor is not 0 (None: all are dense).
     """
     assert found.half is not None and found.scores is not None
-    batch, n = found.scores.shape[:-1], tangent.shape[-1]
+    n = tangent.shape[-1]
     d = n if leading is None else leading
     read = n if d < n and (output_jacobian[..., d:].any() or last.readout[..., d:].any()) else d
-    F, H = (common(v, batch, 2) for v in (tangent, output_jacobian))
-    K, before = (runs(single(v), batch) for v in last)
-    half = runs(single(found.half), batch)
+    F, H = of_runs(tangent, 2), of_runs(output_jacobian, 2)
+    K, before = (contiguous(single(v)) for v in last)
+    half = contiguous(single(found.half))
     turned = np.empty(half.shape, kind)
     rank = half.shape[-1] if found.rank is None else found.rank
     A, columns, FK, seen = transition(F, K, before, H, half, turned, (d, read, rank))
-    return WindowStep(A, columns, FK, H, turned, seen, runs(found.scores.astype(kind, copy=False), batch))
+    return WindowStep(A, columns, FK, H, turned, seen, contiguous(found.scores.astype(kind, copy=False)))
 
 
 def last_update(step: WindowStep, gain: Array, restart: Array) -> LastUpdate:
     """Return the update with gain K (..., n, N); restart (...): runs whose windows restart, in which it has no effect."""
-    batch = gain.shape[:-2]
     K = np.where(restart[..., None, None], 0.0, gain) if restart.any() else gain
-    if len(batch) == 1:
-        return LastUpdate(K, repeated(step.H, K))
-    return LastUpdate(K, for_all(step.H[0], batch) if len(step.H) == 1 else step.H.reshape(*batch, *step.H.shape[1:]))
+    return LastUpdate(K, repeated(step.H, K))

@@ -20,7 +20,6 @@ from fusion_sfdia.common.errors import NotApplicableError
 from fusion_sfdia.common.order_statistics import order_statistic
 from fusion_sfdia.detectors.batch_detector import IsolatingDetector, TimeStep
 from fusion_sfdia.detectors.detector import Decision, check_reading
-from fusion_sfdia.detectors.state import mapped
 from fusion_sfdia.detectors.structural_residuals.selection import reads, selected
 from fusion_sfdia.detectors.structural_residuals.sequences import Sequences
 from fusion_sfdia.detectors.structural_residuals.structure import Residual, modules_of
@@ -237,29 +236,25 @@ class StructuralResiduals(IsolatingDetector):
         return StructuralMemory(np.moveaxis(states, -1, 0).copy(), y.copy(), now, trusted), residual, computed
 
     def _judge(self, memory: StructuralMemory, now: TimeStep, y: Array, u: Array) -> tuple[StructuralMemory, Decision]:
-        batch, n = y.shape[:-1], y.shape[-1]
-        flat = mapped(lambda a: a.reshape(-1, *a.shape[len(batch) :]), memory)
-        y, u = y.reshape(-1, n), u.reshape(-1, u.shape[-1])
-        followed, residual, computed = self._follow(flat, now.dt, y, u)
+        followed, residual, computed = self._follow(memory, now.dt, y, u)
         limits = self.limits * self.threshold_scale
         ratio = np.where(np.isfinite(residual), np.abs(residual) / limits, -1.0)
         isolated = self._diagnosed(ratio > 1)
         shown = np.argmax(np.where(self._reads, ratio[..., None], -2.0), axis=1)
         sigma, read = self.plant.sensor_sigma, self._reads.any(axis=0)
         reconstruction = self._accommodated(y, followed.trusted, isolated | np.isnan(y), computed)
-        decision = {
-            "estimate": np.broadcast_to(self.plant.x0, (len(y), self.plant.x0.size)).copy(),
-            "reconstruction": reconstruction,
-            "residual": np.where(read, np.take_along_axis(residual, shown, axis=1) * sigma, np.nan),
-            "threshold": np.where(read, limits[shown] * sigma, np.inf),
-            "isolated": isolated,
-            "fault_size": np.where(isolated, y - reconstruction, np.nan),
-            "diverged": np.zeros(len(y), bool),
-            "guarded": np.zeros(len(y), bool),
-            "nis": np.full(len(y), np.nan),
-        }
-        after = mapped(lambda a: a.reshape(*batch, *a.shape[1:]), followed._replace(trusted=reconstruction))
-        return after, Decision(**{name: a.reshape(*batch, *a.shape[1:]) for name, a in decision.items()})
+        decision = Decision(
+            estimate=np.broadcast_to(self.plant.x0, (len(y), self.plant.x0.size)).copy(),
+            reconstruction=reconstruction,
+            residual=np.where(read, np.take_along_axis(residual, shown, axis=1) * sigma, np.nan),
+            threshold=np.where(read, limits[shown] * sigma, np.inf),
+            isolated=isolated,
+            fault_size=np.where(isolated, y - reconstruction, np.nan),
+            diverged=np.zeros(len(y), bool),
+            guarded=np.zeros(len(y), bool),
+            nis=np.full(len(y), np.nan),
+        )
+        return followed._replace(trusted=reconstruction), decision
 
     def _diagnosed(self, fired: Array) -> Array:
         """The smallest diagnosis (B, N) of residuals that fire (B, R), empty where it is not unique or too large."""

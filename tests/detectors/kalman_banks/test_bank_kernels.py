@@ -34,16 +34,16 @@ def _to_the_library(patch: pytest.MonkeyPatch) -> None:
 
 def test_statistics_are_those_of_the_inverse(library: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(0)
-    root = rng.standard_normal((3, 2, 5, 5)) * [1e-3, 1.0, 1e2, 1e5, 1.0]
+    root = rng.standard_normal((6, 5, 5)) * [1e-3, 1.0, 1e2, 1e5, 1.0]
     S = root.swapaxes(-1, -2) @ root
-    S[2, 1] = -np.eye(5)  # no covariance: NaN there alone
-    y, used = rng.standard_normal((3, 2, 5)), rng.random((3, 2, 5)) < 0.8
-    joint = Joint(np.zeros((3, 2, 1)), np.ones((3, 2, 1, 1)), np.zeros((3, 2, 5)), S, np.zeros((3, 2, 1, 5)))
+    S[5] = -np.eye(5)  # no covariance: NaN there alone
+    y, used = rng.standard_normal((6, 5)), rng.random((6, 5)) < 0.8
+    joint = Joint(np.zeros((6, 1)), np.ones((6, 1, 1)), np.zeros((6, 5)), S, np.zeros((6, 1, 5)))
     found = statistics(joint, y, used)
     _to_the_library(library)
     expected = statistics(joint, y, used)
-    whole = np.ones((3, 2), bool)
-    whole[2, 1] = False
+    whole = np.ones(6, bool)
+    whole[5] = False
     scale = np.sqrt(np.diagonal(S[whole], axis1=-2, axis2=-1))
     unit = np.linalg.cond(S[whole] / (scale[..., :, None] * scale[..., None, :])).max()
     for name, factor in (("whitened", scale), ("weight", scale**2), ("inverse", scale[..., None] * scale[..., None, :])):
@@ -52,7 +52,7 @@ def test_statistics_are_those_of_the_inverse(library: pytest.MonkeyPatch) -> Non
     assert found.half is not None
     product = found.half @ found.half.swapaxes(-1, -2)
     np.testing.assert_allclose(product[whole], found.inverse[whole], rtol=1e-12, atol=0)
-    assert not found.weight[whole][~used[whole]].any() and np.isnan(found.weight[2, 1][used[2, 1]]).all()
+    assert not found.weight[whole][~used[whole]].any() and np.isnan(found.weight[5][used[5]]).all()
 
 
 @pytest.mark.parametrize("share", [0.0, 0.05, 1.0])

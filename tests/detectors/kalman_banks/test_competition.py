@@ -139,22 +139,22 @@ def test_probabilities_add_up_to_at_most_one(level: float) -> None:
 
 def test_the_window_with_more_evidence_explains_a_hypothesis() -> None:
     """Two sensors, one augmented state, one equation, which the slow window does not have."""
-    recent, slow = best([10.0, 20.0, 30.0, 40.0]), best([15.0, 5.0, 35.0])
-    found = gathered(recent, slow, np.array([7.0]), np.array([1.0, 2.0]), np.array([0.5, 6.0]))
+    recent, slow = best([[10.0, 20.0, 30.0, 40.0]]), best([[15.0, 5.0, 35.0]])
+    found = gathered(recent, slow, np.array([[7.0]]), np.array([[1.0, 2.0]]), np.array([0.5, 6.0]))
     np.testing.assert_allclose(
-        found.level, [7 * 15.1 * 2 / 3, 20.1, 7 * 35.1 * 2 / 3, 40.1], rtol=1e-15
+        found.level, [[7 * 15.1 * 2 / 3, 20.1, 7 * 35.1 * 2 / 3, 40.1]], rtol=1e-15
     )  # slopes over 7 samples
-    np.testing.assert_array_equal(found.slow_sensor, [True, False])
-    np.testing.assert_array_equal(found.slow_process, [True])
-    np.testing.assert_array_equal(found.statistic_s, [15, 20])
-    np.testing.assert_array_equal(found.statistic_p, [35, 40])
-    np.testing.assert_array_equal(found.size_s, [15.1, 20.1])
-    np.testing.assert_array_equal(found.information_p, [35.2, 40.2])
-    np.testing.assert_allclose(found.sensor, [15.3, 20.3], rtol=1e-15)
-    np.testing.assert_allclose(found.process, [35.3 - 0.5, 40.3 - 6.0], rtol=1e-15)  # less the handicap, evidence only
-    np.testing.assert_array_equal(found.one_sample, [1, 2])
-    assert found.best_process == pytest.approx(34.8)
-    np.testing.assert_array_equal(recent.evidence, best([10.0, 20.0, 30.0, 40.0]).evidence)  # not changed in place
+    np.testing.assert_array_equal(found.slow_sensor, [[True, False]])
+    np.testing.assert_array_equal(found.slow_process, [[True]])
+    np.testing.assert_array_equal(found.statistic_s, [[15, 20]])
+    np.testing.assert_array_equal(found.statistic_p, [[35, 40]])
+    np.testing.assert_array_equal(found.size_s, [[15.1, 20.1]])
+    np.testing.assert_array_equal(found.information_p, [[35.2, 40.2]])
+    np.testing.assert_allclose(found.sensor, [[15.3, 20.3]], rtol=1e-15)
+    np.testing.assert_allclose(found.process, [[35.3 - 0.5, 40.3 - 6.0]], rtol=1e-15)  # less the handicap, evidence only
+    np.testing.assert_array_equal(found.one_sample, [[1, 2]])
+    assert found.best_process[0] == pytest.approx(34.8)
+    np.testing.assert_array_equal(recent.evidence, best([[10.0, 20.0, 30.0, 40.0]]).evidence)  # not changed in place
 
 
 def sampled(seed: int = 0, runs: int = 200) -> tuple[LeaveOneOut, Array, Array]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,10 +11,13 @@ import pytest
 from numpy.typing import NDArray
 from toy_plants import chain, changed
 
+from fusion_sfdia.detectors.batch_detector import TimeStep
+from fusion_sfdia.detectors.detector import Decision
 from fusion_sfdia.detectors.exclusion import Exclusion, none_excluded
 from fusion_sfdia.detectors.kalman_banks.excluding_bank import ExclusionUpdate, SensorTests
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import statistics
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.detectors.state import as_batch, as_single
 from fusion_sfdia.filters import ekf
 from fusion_sfdia.filters.estimators import Prior, Unscented
 from fusion_sfdia.plant.plant import Plant
@@ -39,11 +41,25 @@ TESTED = SensorTests(
 def conclude(
     exclusion: Exclusion, y: Array = READINGS, tested: SensorTests = TESTED, p: Array = P, lost: bool = False, **settings: Any
 ) -> Any:
-    bank = LeaveOneOutBank(PLANT, false_alarm=FALSE_ALARM, **settings)
-    joint = ekf.joint(X, p, lambda s: s @ H.T, H, PLANT.sensor_cov)
-    prior = Prior((), np.array(True), np.array(lost))
-    update = ExclusionUpdate(X, p, prior, joint, statistics(joint, y, tested.usable))
-    return bank._conclude(SimpleNamespace(t=1.0), y, np.zeros(0), exclusion, update, tested)
+    return conclusion(LeaveOneOutBank(PLANT, false_alarm=FALSE_ALARM, **settings), exclusion, y, tested, p, lost)
+
+
+def conclusion(
+    bank: LeaveOneOutBank,
+    exclusion: Exclusion,
+    y: Array = READINGS,
+    tested: SensorTests = TESTED,
+    p: Array = P,
+    lost: bool = False,
+) -> tuple[Exclusion, Decision]:
+    """The exclusions and the Decision of the only run of a batch."""
+    joint = ekf.joint(X[None], p[None], lambda s: s @ H.T, H, PLANT.sensor_cov)
+    prior = Prior((), np.array([True]), np.array([lost]))
+    update = ExclusionUpdate(X[None], p[None], prior, joint, statistics(joint, y[None], tested.usable[None]))
+    of_run = SensorTests(*(a[None] for a in tested[:-1]), tested.limit)
+    now = TimeStep(0.0, 1.0, 1.0, 0, 1)
+    after, decision = bank._conclude(now, y[None], np.zeros((1, 0)), as_batch(exclusion), update, of_run)
+    return as_single(after), Decision(**{name: a[0, ...] for name, a in vars(decision).items() if np.ndim(a)})
 
 
 def out(*sensors: int, size: float = 5.0, evidence: float = 0.0, quiet: float = 0.0) -> Exclusion:
@@ -68,7 +84,8 @@ def test_excluded_sensors_are_replaced_and_compared_with_their_expected_readings
 def test_without_accommodation_sensors_are_isolated_and_nothing_is_left_out() -> None:
     before = none_excluded((), N)
     after, decision = conclude(before, accommodate=False)
-    assert after is before
+    for now, then in zip(after, before, strict=True):
+        np.testing.assert_array_equal(now, then)
     np.testing.assert_array_equal(decision.isolated, ISOLATED)
     np.testing.assert_array_equal(decision.fault_size, np.where(ISOLATED, TESTED.size, np.nan))
 
@@ -122,14 +139,7 @@ def shifted_readings(plant: Plant, t: float, x: Array, u: Array) -> Array:
 def test_expected_readings_are_those_of_the_model_that_the_filter_estimates() -> None:
     """By default the plant; a bank on an augmented plant states that one."""
     assert LeaveOneOutBank(PLANT).model is PLANT
-    joint = ekf.joint(X, P, lambda s: s @ H.T, H, PLANT.sensor_cov)
-    update = ExclusionUpdate(
-        X, P, Prior((), np.array(True), np.array(False)), joint, statistics(joint, READINGS, TESTED.usable)
-    )
-    now, found = SimpleNamespace(t=1.0), {}
-    for bank in (LeaveOneOutBank(PLANT), OnAnother(PLANT)):
-        _, found[type(bank)] = bank._conclude(now, READINGS, np.zeros(0), out(1), update, TESTED)
-    usual, other = found[LeaveOneOutBank], found[OnAnother]
+    usual, other = (conclusion(bank, out(1))[1] for bank in (LeaveOneOutBank(PLANT), OnAnother(PLANT)))
     held = usual.isolated | np.isnan(READINGS)
     np.testing.assert_allclose(other.reconstruction[held], usual.reconstruction[held] + 5.0, rtol=1e-15)
     assert other.residual[1] == usual.residual[1] - 5.0  # of the sensor that is out

@@ -74,7 +74,7 @@ def test_local_posteriors_of_a_nonlinear_reading_are_those_of_numerical_integrat
 def _local(bank: FusingBank, y: Array) -> Local:
     """The local filters of a bank after its first readings y (N,) of a plant without inputs."""
     now, u = TimeStep(0.0, 1.0, 1.0, seed=2, k=1), np.zeros((1, 0))
-    prior = bank._predict(bank.init((1,), seed=2).memory, 1, now, u)
+    prior = bank._predict(bank.init((1,), seed=2).memory, now, u)
     joint = bank.estimator.joint(bank.plant, prior[0], 1.0, u)
     return bank._update(prior, joint, now, y[None], np.ones((1, y.size), bool), u)
 

@@ -100,23 +100,22 @@ def test_covariances_stay_positive_definite_under_precise_readings(n: int) -> No
 
 def test_a_missing_reading_equals_a_deleted_one() -> None:
     rng = np.random.default_rng(0)
-    joint, _ = random_joint(rng, 4, 6)
-    y = joint.y + rng.normal(size=6)
-    x, p = without(joint, y, 2)
+    joint, _ = random_joint(rng, 4, 6, batch=(1,))
+    y, used = joint.y + rng.normal(size=(1, 6)), np.ones((1, 6), bool)
     gone = y.copy()
-    gone[2] = np.nan
-    found = statistics(joint, gone, np.ones(6, bool))
-    got_x, got_p = posterior(joint, found)
-    np.testing.assert_allclose(got_x, x, rtol=0, atol=of_update(joint, y))
-    np.testing.assert_allclose(got_p, p, rtol=0, atol=of_update(joint, y))
-    assert found.innovation[2] == 0 and np.isinf(found.variance[2]) and np.all(np.isfinite(found.chi_square))
-    nothing = statistics(joint, np.full(6, np.nan), np.ones(6, bool))
+    gone[0, 2] = np.nan
+    found = statistics(joint, gone, used)
+    one = joint._replace(x=joint.x[0], P=joint.P[0], y=joint.y[0], S=joint.S[0], C=joint.C[0])
+    for got, expected in zip(posterior(joint, found), without(one, y[0], 2), strict=True):
+        np.testing.assert_allclose(got[0], expected, rtol=0, atol=of_update(one, y[0]))
+    assert found.innovation[0, 2] == 0 and np.isinf(found.variance[0, 2]) and np.all(np.isfinite(found.chi_square))
+    nothing = statistics(joint, np.full((1, 6), np.nan), used)
     np.testing.assert_array_equal(posterior(joint, nothing)[0], joint.x)
-    assert normalised_innovation_squared(joint, nothing, np.full(6, np.nan)) == 0
+    assert normalised_innovation_squared(joint, nothing, np.full((1, 6), np.nan)) == 0
     keep = np.delete(np.arange(6), 2)
-    d = (y - joint.y)[keep]
-    nis = d @ np.linalg.solve(joint.S[np.ix_(keep, keep)], d) / 5
-    assert normalised_innovation_squared(joint, found, gone) == pytest.approx(nis, rel=0, abs=of_update(joint, y))
+    d = (y - joint.y)[0, keep]
+    nis = d @ np.linalg.solve(one.S[np.ix_(keep, keep)], d) / 5
+    assert normalised_innovation_squared(joint, found, gone)[0] == pytest.approx(nis, rel=0, abs=of_update(one, y[0]))
 
 
 def test_elimination_equals_starting_without_the_sensors_in_any_order() -> None:

@@ -254,44 +254,46 @@ def test_after_an_alarm_the_window_starts_again() -> None:
 def test_what_is_shown_is_the_larger_ratio_to_its_limit_of_sample_and_window() -> None:
     """One sensor by the sample, one by the window, one that is not used."""
     found = LeaveOneOut(
-        np.array([2.0, 1.0, 0.0]), np.array([4.0, 4.0, 0.0]), np.eye(3), np.array([True, True, False]), None, None
+        np.array([[2.0, 1.0, 0.0]]), np.array([[4.0, 4.0, 0.0]]), np.eye(3)[None], np.array([[True, True, False]]), None, None
     )
-    statistic, size, information = np.array([1.0, 9.0, 0.0]), np.array([5.0, 6.0, 0.0]), np.array([4.0, 0.25, 1.0])
+    statistic, size, information = np.array([[1.0, 9.0, 0.0]]), np.array([[5.0, 6.0, 0.0]]), np.array([[4.0, 0.25, 1.0]])
     residual, threshold = residual_and_threshold(found, statistic, size, information, (16.0, 25.0))
-    np.testing.assert_array_equal(residual, [2 / 4, 6.0, 0.0])
-    np.testing.assert_array_equal(threshold, [np.sqrt(16 / 4), np.sqrt(25 / 0.25), np.inf])
-    batch = [np.stack([a, a]) for a in (statistic, size, information)]
-    runs = LeaveOneOut(*(np.stack([a, a]) for a in (found.whitened, found.weight, np.eye(3), found.used)), None, None)
-    for one, together in zip((residual, threshold), residual_and_threshold(runs, *batch, (16.0, 25.0)), strict=True):
-        np.testing.assert_array_equal(together, np.stack([one, one]))
+    np.testing.assert_array_equal(residual, [[2 / 4, 6.0, 0.0]])
+    np.testing.assert_array_equal(threshold, [[np.sqrt(16 / 4), np.sqrt(25 / 0.25), np.inf]])
+    two = [np.concatenate([a, a]) for a in (statistic, size, information)]
+    arrays = found.whitened, found.weight, np.eye(3)[None], found.used
+    runs = LeaveOneOut(*(np.concatenate([a, a]) for a in arrays), None, None)
+    for one, together in zip((residual, threshold), residual_and_threshold(runs, *two, (16.0, 25.0)), strict=True):
+        np.testing.assert_array_equal(together, np.concatenate([one, one]))
 
 
 def test_the_best_onset_is_that_with_the_largest_ratio_of_those_with_information() -> None:
     """By onset and sensor a, b: a^2 / b is 4, 9 for sensor 1; too little information for sensor 2; sensor 3 is not in use."""
-    a = np.array([[2.0, 1.0, 5.0], [3.0, 1.0, 5.0]])
-    b = np.array([[1.0, 0.0009, 1.0], [1.0, 0.0011, 1.0]])
-    onsets = Weighed(np.zeros((2, 1, 3)), np.ones(2), a, b, np.ones(2), np.zeros((3, 1)))
-    found = best_onset(onsets, np.array([True, True, False]), np.ones(3))
-    np.testing.assert_allclose(found.statistic, [9.0, 1 / 0.0011, 0.0], rtol=1e-12)
-    np.testing.assert_allclose(found.size, [3.0, 1 / 0.0011, 0.0], rtol=1e-12)
-    np.testing.assert_array_equal(found.information, [1.0, 0.0011, 1.0])
-    np.testing.assert_array_equal(found.slot[:2], [1, 1])
-    less_noise = best_onset(onsets, np.ones(3, bool), np.array([1.0, 0.5, 1.0]))  # information is in units of 1 / size^2
-    assert less_noise.statistic[1] == 0.0 and less_noise.statistic[2] == 25.0
-    earlier = best_onset(onsets, np.ones(3, bool), np.ones(3), first=1)
-    np.testing.assert_array_equal(earlier.slot, [1, 1, 1])
-    eta = best_onset(onsets, np.ones(3, bool), np.array([[1.0, 1.0, 1.0], [1e-2, 1.0, 1.0]]))  # a size for each onset
-    assert eta.statistic[0] == 4.0 and eta.slot[0] == 0
+    a = np.array([[[2.0, 1.0, 5.0], [3.0, 1.0, 5.0]]])
+    b = np.array([[[1.0, 0.0009, 1.0], [1.0, 0.0011, 1.0]]])
+    onsets = Weighed(np.zeros((1, 2, 1, 3)), np.ones((1, 2)), a, b, np.ones((1, 2)), np.zeros((3, 1)))
+    found, every = best_onset(onsets, np.array([[True, True, False]]), np.ones(3)), np.ones((1, 3), bool)
+    np.testing.assert_allclose(found.statistic, [[9.0, 1 / 0.0011, 0.0]], rtol=1e-12)
+    np.testing.assert_allclose(found.size, [[3.0, 1 / 0.0011, 0.0]], rtol=1e-12)
+    np.testing.assert_array_equal(found.information, [[1.0, 0.0011, 1.0]])
+    np.testing.assert_array_equal(found.slot[0, :2], [1, 1])
+    less_noise = best_onset(onsets, every, np.array([1.0, 0.5, 1.0]))  # information is in units of 1 / size^2
+    assert less_noise.statistic[0, 1] == 0.0 and less_noise.statistic[0, 2] == 25.0
+    earlier = best_onset(onsets, every, np.ones(3), first=1)
+    np.testing.assert_array_equal(earlier.slot, [[1, 1, 1]])
+    eta = best_onset(onsets, every, np.array([[1.0, 1.0, 1.0], [1e-2, 1.0, 1.0]]))  # a size for each onset
+    assert eta.statistic[0, 0] == 4.0 and eta.slot[0, 0] == 0
 
 
 def test_the_evidence_is_twice_the_logarithm_of_the_likelihood_ratio_averaged_over_sizes() -> None:
     """int N(s; 0, size^2) exp(a s - b s^2 / 2) ds, by quadrature."""
     a, b, size = 3.0, 0.7, 2.5
-    onsets = Weighed(np.zeros((1, 1, 1)), np.ones(1), np.full((1, 1), a), np.full((1, 1), b), np.ones(1), np.zeros((1, 1)))
-    found = best_onset(onsets, np.ones(1, bool), np.array([size]))
+    one = np.ones((1, 1))
+    onsets = Weighed(np.zeros((1, 1, 1, 1)), one, np.full((1, 1, 1), a), np.full((1, 1, 1), b), one, np.zeros((1, 1)))
+    found = best_onset(onsets, one > 0, np.array([size]))
     ratio, error = quad(lambda s: norm.pdf(s, 0.0, size) * np.exp(a * s - b * s * s / 2), -np.inf, np.inf)
-    assert found.evidence[0] == pytest.approx(2 * np.log(ratio), rel=0, abs=4 * error / ratio)
-    assert best_onset(onsets, np.zeros(1, bool), np.ones(1)).evidence[0] == -np.inf
+    assert found.evidence[0, 0] == pytest.approx(2 * np.log(ratio), rel=0, abs=4 * error / ratio)
+    assert best_onset(onsets, one < 0, np.ones(1)).evidence[0, 0] == -np.inf
 
 
 def test_in_single_precision_the_bank_decides_alike(monkeypatch: pytest.MonkeyPatch) -> None:
