@@ -4,7 +4,8 @@ Nothing is learnt after commissioning (`commissioned_model`), so that nothing ab
 residuals are as before. In each row
 
 - a window is in alarm where its T (`window_means`) exceeds its limit, and its last quarter still shows it;
-- of the causes, offsets of sensors and changes of unknowns, those explain the event that leave little of T: on average over
+- of the causes, offsets of sensors and changes of unknowns, that have just begun, began with an abrupt event or last, since
+  windows that contain a beginning show the filter on its way, those explain the event that leave little of T: on average over
   its rows in alarm, the latest more, at most the limit, or `SMALL` of T;
 - one that explains much better than all others is named, a sensor or an unknown; otherwise those that explain are suspects,
   and where none does it is the process, or several causes: "no single cause";
@@ -56,7 +57,8 @@ OUTSIDE = ProcessHypothesis("operation outside the healthy log", "1", "outside",
 
 class FrozenMemory(NamedTuple):
     """The filter; of the last LONGEST rows, at the place of their number, errors (..., LONGEST, N) and regressors
-    (..., LONGEST, q), and means of their derivatives over PART rows (..., LONGEST / PART, N, M); what causes have left (..., M)
+    (..., LONGEST, q), and means of their derivatives over PART rows (..., LONGEST / PART, N, M); the sums of the derivatives
+    since the event began, as each PART began (..., LONGEST / PART + 1, N, M); what causes have left (..., M)
     of the event, and T, and their weight; rows of the event, and whether it began within a few rows; rows without alarm,
     and of process verdicts; the sensor named last, its largest size, and rows since; the readings before, and their repeats
     (..., N).
@@ -66,6 +68,7 @@ class FrozenMemory(NamedTuple):
     errors: Array
     regressors: Array
     by_cause: Array
+    begun: Array
     left: Array
     total: Array
     weight: Array
@@ -174,7 +177,7 @@ class FrozenBank(BatchDetector):
 
     @cached_property
     def _filter(self) -> FrozenFilter:
-        return FrozenFilter(self.plant, self.frozen.values)
+        return FrozenFilter(self.plant, self.frozen.values, along=self.frozen.along_states(len(self.plant.states)))
 
     @cached_property
     def _spreads(self) -> tuple[Spread, ...]:
@@ -196,7 +199,8 @@ class FrozenBank(BatchDetector):
         q, none = self.frozen.mean.size, np.zeros(batch)
         return FrozenMemory(
             self._filter.start(batch), np.full((*batch, LONGEST, count), np.nan), np.zeros((*batch, LONGEST, q)),
-            np.zeros((*batch, LONGEST // PART, count, count + p)), np.zeros((*batch, count + p)), none, none.copy(),
+            np.zeros((*batch, LONGEST // PART, count, count + p)),
+            np.zeros((*batch, LONGEST // PART + 1, count, count + p)), np.zeros((*batch, count + p)), none, none.copy(),
             none.copy(), np.zeros(batch, bool), np.full(batch, float(FADES)), none.copy(), np.full(batch, -1), none.copy(),
             np.full(batch, float(LONGEST)), np.full((*batch, count), np.nan), np.zeros((*batch, count)),
         )  # fmt: skip
@@ -206,22 +210,30 @@ class FrozenBank(BatchDetector):
 
     def _witnessed(self, memory: FrozenMemory, now: TimeStep, y: Array, u: Array) -> tuple[FrozenMemory, Decision, Witness]:
         """The memory after the readings, the verdict, and what the windows say beside it."""
-        frozen, n, count = self.frozen, len(self.plant.states), y.shape[-1]
+        frozen, count = self.frozen, y.shape[-1]
         tracked, row = self._filter.step(memory.tracked, now.t_start, now.dt, y, u)
         phi = frozen.regressors(row.x, u)
         missed = phi @ frozen.coef.T
         error = np.where(unsure(row.variance, frozen.variance), np.nan, row.innovation - missed)
-        by_cause = row.by_cause + frozen.along_states(n) @ row.effect
+        by_cause, before = row.by_cause, memory.tracked.grown[..., FRESH, :, :]
         place, axes = (now.k - 1) % LONGEST, y.ndim - 1
         part = np.take(memory.by_cause, place // PART, axis=axes) if place % PART else np.zeros_like(by_cause)
+        first = (now.k - 1) % PART == 0
         memory = memory._replace(
             tracked=tracked,
             errors=_with(memory.errors, axes, place, error),
             regressors=_with(memory.regressors, axes, place, phi),
             by_cause=_with(memory.by_cause, axes, place // PART, part + (by_cause - part) / (place % PART + 1)),
+            begun=_with(memory.begun, axes, (now.k - 1) // PART % (LONGEST // PART + 1), before) if first else memory.begun,
         )
-        found = self._windows(now.k, memory, by_cause)
+        found = self._windows(now.k, memory, by_cause, row.by_begun)
         memory, isolated, size, process, suspect, witness = self._causes(memory, found, y)
+        begins = (memory.age == 1) & found.alarm
+        if begins.any():
+            memory = memory._replace(
+                tracked=memory.tracked.since(np.where(found.brief > 0, found.brief, FRESH), begins),
+                begun=np.where(begins[..., None, None, None], 0.0, memory.begun),
+            )
         no_size = np.isnan(np.where(isolated, size, 0.0))
         expected = row.expected + missed
         reconstruction = np.where(np.isnan(y) | no_size, expected, np.where(isolated, y - np.nan_to_num(size), y))
@@ -240,10 +252,13 @@ class FrozenBank(BatchDetector):
             probability=_probability(np.concatenate([isolated, process], axis=-1) | suspect),
         ), witness  # fmt: skip
 
-    def _windows(self, k: int, memory: FrozenMemory, by_cause: Array) -> Found:
-        """What the windows show after k rows, of which the last has the derivatives `by_cause` (..., N, M)."""
+    def _windows(self, k: int, memory: FrozenMemory, by_cause: Array, by_begun: Array) -> Found:
+        """What the windows show after k rows, of which the last has the derivatives `by_cause` (..., N, M), and `by_begun` by
+        causes that began with the event.
+        """
         batch, causes = by_cause.shape[:-2], by_cause.shape[-1]
-        alarm, outside, brief = np.zeros((3, *batch), bool)
+        alarm, outside = np.zeros((2, *batch), bool)
+        brief, event = np.zeros(batch, int), memory.abrupt & (memory.calm < FADES)
         total, ratio = np.zeros((2, *batch))
         own, size, sd = (np.zeros((*batch, causes)) for _ in range(3))
         seen = np.zeros((*batch, causes), bool)
@@ -255,16 +270,20 @@ class FrozenBank(BatchDetector):
             phi = memory.regressors[..., rows, :].mean(axis=-2)
             off = beyond(phi, self.frozen.low, self.frozen.high)
             growth = self.frozen.growth(i, phi) * off
-            g, d = growth * float(self._limits[i]), by_cause
+            g, d, begun = growth * float(self._limits[i]), by_cause, by_begun
             if w > PART:
+                begun = self._mean_since(k, w, memory)
                 parts = (k - 1) // PART - np.arange(w // PART)
                 d = memory.by_cause[..., parts % (LONGEST // PART), :, :].mean(axis=-3)
             t, j, s, power = explained(spread, m, known, d, g)
             still = t > 0
-            if w <= FRESH:
-                other = explained(spread, m, known, memory.tracked.grown[..., w - 1, :, :] / w, g)
-                j, s, power = (np.where(other[1] > j, b, a) for a, b in zip((j, s, power), other[1:], strict=True))
-            else:
+            for other in (
+                np.where((event & (memory.age < w))[..., None, None], begun, 0.0),
+                *([memory.tracked.grown[..., w - 1, :, :] / w] if w <= FRESH else []),
+            ):
+                _, *than = explained(spread, m, known, other, g)
+                j, s, power = (np.where(than[0] > j, b, a) for a, b in zip((j, s, power), than, strict=True))
+            if w > FRESH:
                 quarter, last = (
                     self._mean(memory.errors[..., np.arange(k - r, k) % LONGEST, :]) for r in (max(w // 4, LATELY), LATELY)
                 )
@@ -275,11 +294,17 @@ class FrozenBank(BatchDetector):
             outside |= (t <= self._named_above) & (t * off > self._named_above) & (off > 1)
             now = (t > 1) & still
             if w <= FRESH:
-                brief |= now
+                brief = np.where(now & (brief == 0), w, brief)
             first, most = (a[..., None] for a in (now & ~alarm, now & (t > total)))
             alarm, total, own = alarm | now, np.where(now, np.maximum(t, total), total), np.where(most, j, own)
             size, sd = np.where(first, s, size), np.where(first, np.sqrt(growth[..., None] / power), sd)
         return Found(alarm, total, own, size, sd, ratio, outside, seen, brief)
+
+    def _mean_since(self, k: int, w: int, memory: FrozenMemory) -> Array:
+        """The mean over the last w of k rows of derivatives (..., N, M) by causes that began with the event."""
+        part, row = divmod(k - w, PART)
+        first, second = (memory.begun[..., p % (LONGEST // PART + 1), :, :] for p in (part, part + 1))
+        return np.asarray((memory.tracked.grown[..., FRESH, :, :] - first - row / PART * (second - first)) / w)
 
     def _mean(self, errors: Array) -> tuple[Array, Array]:
         """The mean of rows (..., w, N) and whether enough of them are known (..., N)."""
@@ -302,7 +327,7 @@ class FrozenBank(BatchDetector):
         left = left + np.where(alarm[..., None], found.total[..., None] - found.own, 0.0)
         calm = np.where(alarm, 0.0, memory.calm + 1)
         age = np.where(over, alarm, memory.age + 1.0)
-        abrupt = (memory.abrupt & ~over) | (alarm & found.brief & (age <= FRESH))
+        abrupt = (memory.abrupt & ~over) | (alarm & (found.brief > 0) & (age <= FRESH))
         a, whole = left / np.maximum(weight, 1e-9)[..., None], total / np.maximum(weight, 1e-9)
         explains = alarm[..., None] & (a <= np.maximum(level, SMALL * whole)[..., None])
         best = np.argmin(a, axis=-1)

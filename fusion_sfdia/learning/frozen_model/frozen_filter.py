@@ -6,7 +6,8 @@ A cause m_h is an offset of sensor h (h = 1..N) or a change of unknown h - N. Wi
     e- = F e,    D = d(innovation) / dm = H e- + [I | 0],    e = e- - K D
 
 as in the separated bias filter (Friedland 1969, Treatment of bias in recursive filtering). A cause that has been there for long
-has e of the row before; one that began k rows ago has the same recursion from e = 0 at that row.
+has e of the row before; one that began k rows ago has the same recursion from e = 0 at that row. What equations miss may be
+corrected by a regression on the predicted states, which have moved by e-, too: with its derivative B the error has D + B e-.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ FRESH = 10  # rows up to which the effect of a cause that has just begun is foll
 class Tracked(NamedTuple):
     """The filter between two rows: estimate, effect e (..., a, M) of lasting causes, and those that began up to FRESH rows ago.
 
-    fresh (..., FRESH, a, M), the latest first; grown (..., FRESH, N, M): the sum of D since they began.
+    fresh (..., FRESH + 1, a, M), the latest first, and last those that began at the row that `since` has chosen; grown
+    (..., FRESH + 1, N, M): the sum of D since they began.
     """
 
     core: GaussianState
@@ -40,17 +42,28 @@ class Tracked(NamedTuple):
     fresh: Array
     grown: Array
 
+    def since(self, age: Array, where: Array) -> Tracked:
+        """With causes that began so many rows ago (...), 1 to FRESH, followed from now on, in the runs `where` (...)."""
+
+        def chosen(a: Array) -> Array:
+            one = np.take_along_axis(a, (age - 1)[..., None, None, None], axis=-3)
+            kept = np.where(where[..., None, None, None], one, a[..., FRESH:, :, :])
+            return np.concatenate([a[..., :FRESH, :, :], kept], axis=-3)
+
+        return self._replace(fresh=chosen(self.fresh), grown=chosen(self.grown))
+
 
 class FrozenRow(NamedTuple):
-    """What a row shows: innovation v (..., N), NaN where missing, and its variance; D (..., N, M); state x (..., n), predicted
-    and after the readings, each with its effect (..., n, M); expected readings (..., N). lost (...): no finite value.
+    """What a row shows: innovation v (..., N), NaN where missing, and its variance; D (..., N, M), and that of causes
+    that began at a row; state x (..., n), predicted and after the readings, this with its effect (..., n, M); expected readings
+    (..., N). lost (...): no finite value.
     """
 
     innovation: Array
     variance: Array
     by_cause: Array
+    by_begun: Array
     x: Array
-    effect: Array
     x_after: Array
     effect_after: Array
     covariance: Array
@@ -67,6 +80,7 @@ class FrozenFilter:
     plant: Plant
     values: Array
     of_sensors: bool = True  # whether their faults are followed, and causes that have just begun; not while it is commissioned
+    along: Array | float = 0.0  # B (N, n): derivative of what is taken from innovations with respect to the predicted states
 
     @cached_property
     def model(self) -> Plant:
@@ -92,7 +106,7 @@ class FrozenFilter:
 
     def start(self, batch: tuple[int, ...]) -> Tracked:
         """At the plant's x0."""
-        shape, ages = self._begin.shape, FRESH * self.of_sensors
+        shape, ages = self._begin.shape, (FRESH + 1) * self.of_sensors
         effect = np.broadcast_to(self._begin, (*batch, *shape)).copy()
         fresh = np.broadcast_to(self._begin, (*batch, ages, *shape)).copy()
         core = Extended().start(self.model, batch, step_stream(0, 0))
@@ -107,25 +121,31 @@ class FrozenFilter:
         own = np.eye(count, now.effect.shape[-1]) if self.of_sensors else 0.0
         gain = gain_half @ np.swapaxes(half, -1, -2)
 
-        def followed(effect: Array, F: Array, H: Array, K: Array) -> tuple[Array, Array, Array]:
+        def followed(effect: Array, F: Array, H: Array, K: Array) -> tuple[Array, Array]:
             ahead = F @ effect
             by_cause = H @ ahead + own
-            return ahead - K @ by_cause, by_cause, ahead
+            return ahead - K @ by_cause, by_cause + (self.along @ ahead[..., :n, :] if corrected else 0.0)
 
-        effect, by_cause, ahead = followed(now.effect, tangent, readout, gain)
-        fresh, grown = now.fresh, now.grown
+        corrected = np.any(self.along)
+        effect, by_cause = followed(now.effect, tangent, readout, gain)
+        fresh, grown, by_begun = now.fresh, now.grown, np.zeros_like(by_cause)
         if self.of_sensors:
-            begun = np.concatenate([np.broadcast_to(self._begin, (*fresh.shape[:-3], 1, *fresh.shape[-2:])), fresh], axis=-3)
-            fresh, seen, _ = followed(begun[..., :-1, :, :], *(a[..., None, :, :] for a in (tangent, readout, gain)))
-            grown = np.concatenate([np.zeros_like(grown[..., :1, :, :]), grown[..., :-1, :, :]], axis=-3) + seen
+            now_begins = np.broadcast_to(self._begin, (*fresh.shape[:-3], 1, *fresh.shape[-2:]))
+            fresh, seen = followed(_aged(now_begins, fresh), *(a[..., None, :, :] for a in (tangent, readout, gain)))
+            grown, by_begun = _aged(np.zeros_like(grown[..., :1, :, :]), grown) + seen, seen[..., FRESH, :, :]
         lost = ~np.isfinite(core.x).all(axis=-1) | prior.lost
         nis = np.sum(normal**2, axis=-1) / np.maximum(np.sum(used, axis=-1), 1)
         nis = np.where(used.any(axis=-1), nis, np.nan)
         row = FrozenRow(
-            y - joint.y, np.diagonal(joint.S, axis1=-2, axis2=-1), by_cause, joint.x[..., :n], ahead[..., :n, :],
+            y - joint.y, np.diagonal(joint.S, axis1=-2, axis2=-1), by_cause, by_begun, joint.x[..., :n],
             core.x[..., :n], effect[..., :n, :], core.P[..., :n, :n], joint.y, prior.guarded, lost, nis,
         )  # fmt: skip
         return Tracked(core, effect, fresh, grown), row
+
+
+def _aged(youngest: Array, fresh: Array) -> Array:
+    """Of causes (..., FRESH + 1, k, M) a row later: those that began now, up to FRESH rows ago, and at the chosen row."""
+    return np.concatenate([youngest, fresh[..., : FRESH - 1, :, :], fresh[..., FRESH:, :, :]], axis=-3)
 
 
 def unknowns(plant: Plant) -> tuple[ProcessHypothesis, ...]:

@@ -75,6 +75,19 @@ def test_what_has_just_begun_is_seen_as_it_is_at_first() -> None:
     np.testing.assert_array_equal(now.grown[0, 0, :, : len(PLANT.sensors)], np.eye(len(PLANT.sensors)))
 
 
+def test_causes_that_began_at_a_chosen_row_are_followed_from_there() -> None:
+    """Chosen FRESH rows after the start and followed for five more, they are lasting ones since the start."""
+    few, filter_ = log(), FrozenFilter(PLANT, VALUES)
+    now, lasting, before = filter_.start((1,)), 0.0, float(few.t[0]) - PLANT.dt
+    for k, t in enumerate(few.t[: FRESH + 5].tolist()):
+        now, row = filter_.step(now, before, t - before, few.y[k], few.u[k])
+        lasting, before = lasting + row.by_cause[0], t
+        if k == FRESH - 1:
+            now = now.since(np.array([FRESH]), np.array([True]))
+    np.testing.assert_allclose(now.grown[0, FRESH], lasting, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(row.by_begun[0], row.by_cause[0], rtol=1e-9, atol=1e-12)
+
+
 def test_without_causes_of_sensors_the_others_are_the_same() -> None:
     whole, part = rows(VALUES, log())[0], rows(VALUES, log(), of_sensors=False)[0]
     for one, two in zip(whole, part, strict=True):
