@@ -279,10 +279,11 @@ def _add_missing(
     if lacking and not absent:
         near = _similar(lacking, unknown)
         meant = f"did you mean {some(list(near.values()))} for {some(list(near))}? " if near else ""
+        other = "name another plant with --plant if it is not this one; " if len(lacking) == len(plant.sensors) else ""
         problems.add(
             "sensors",
-            f"no column for the sensors {some(lacking)} of plant {plant.name!r}; {meant}add them (empty where not read), or "
-            "take them as missing with --absent-sensors (absent_sensors=True)",
+            f"no column for the sensors {some(lacking)} of plant {plant.name!r}; {other}{meant}add them (empty where not "
+            "read), or take them as missing with --absent-sensors (absent_sensors=True)",
             count=len(lacking),
         )
     elif len(lacking) == len(plant.sensors):
