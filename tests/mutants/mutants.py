@@ -142,8 +142,15 @@ MUTANTS = (
     ),
     Mutant(
         "fusion_sfdia/learning/frozen_model/frozen_filter.py",
-        "return ahead - K @ by_cause, by_cause, ahead",
-        "return ahead, by_cause, ahead",
+        "fresh[..., : FRESH - 1, :, :], fresh[..., FRESH:, :, :]",
+        "fresh[..., : FRESH - 1, :, :], fresh[..., FRESH - 1 : FRESH, :, :]",
+        "tests/learning/frozen_model/test_frozen_filter.py::test_causes_that_began_at_a_chosen_row_are_followed_from_there",
+        quick=False,
+    ),
+    Mutant(
+        "fusion_sfdia/learning/frozen_model/frozen_filter.py",
+        "return ahead - K @ by_cause, by_cause + (",
+        "return ahead, by_cause + (",
         "tests/learning/frozen_model/test_frozen_filter.py::test_the_derivatives_are_those_of_differences",
         quick=False,
     ),
