@@ -19,7 +19,9 @@ from fusion_sfdia.diagnosis.diagnose import diagnose_run
 from fusion_sfdia.diagnosis.events import events_of
 from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.learning.frozen_model.frozen_bank import NO_SINGLE_CAUSE, OUTSIDE, FrozenBank
+from fusion_sfdia.plant.linear import linear_plant
 from fusion_sfdia.plant.log import Log
+from fusion_sfdia.plant.signals import Sensor
 
 Array = NDArray[Any]
 
@@ -145,3 +147,20 @@ def test_a_process_fault_on_a_plant_with_a_wrong_law_is_no_sensor(rows: int) -> 
     d = decisions(detector, law.record(0.6, 31, building=11, change=weaker))
     assert d.process is not None
     assert np.mean(d.process[ONSET + rows :].any(axis=1)) > 0.8 and np.mean(d.isolated.any(axis=1)) <= 0.01
+
+
+@pytest.mark.parametrize("size", [5.0, 15.0])
+def test_a_lasting_bias_that_the_filter_follows_is_not_the_process(size: float) -> None:
+    """Windows that contain its beginning see the filter on its way, not what it is where the cause has lasted."""
+    follows = np.array([[0.99, 0.0], [0.02, 0.99]])
+    sensors = [Sensor("a", "x0", sigma=1.0), Sensor("b", "x1", sigma=1.0)]
+    plant = linear_plant(
+        "slow", follows, np.eye(2), sensors, dt=1.0, x0=np.zeros(2), process_cov=np.full(2, 0.03**2), initial_cov=np.ones(2)
+    )
+    healthy, other = (simulate(plant, n, [s], truth="model", process_noise=True) for n, s in ((3000, 1), (900, 5)))
+    detector = FrozenBank.fit(plant, Log(healthy.t, healthy.y[:, 0], healthy.u), 1e-3)
+    y = other.y[:, 0].copy()
+    y[ONSET:, 0] += size
+    d = decisions(detector, Log(other.t, y, other.u))
+    assert d.process is not None
+    assert d.isolated[ONSET + 30 :, 0].mean() > 0.95 and not d.isolated[:, 1].any() and not d.process[ONSET:].any()
