@@ -61,6 +61,7 @@ FAULTS = {
     "spikes": ("had spikes{of}", "has had spikes{of}", "they have stopped", "they continue"),
     "dropout": ("gave no readings", "has given no readings", "its readings are back", "it is still silent"),
 }
+UNKNOWN = "whether it is over is not known"
 SEEN_TO_END = ("freeze", "dropout")  # in the readings, whatever the verdicts after them
 CHECKS = {
     "bias": "Check the sensor's wiring or calibration.",
@@ -225,14 +226,15 @@ def _sensor(e: Event, w: Wording, words: Words, when: str, now: str) -> str:
 def _now(e: Event, words: Words, clock: Clock, ended: bool, after: Sequence[Event]) -> str:
     """Whether the fault of a sensor is over, in a part of a sentence."""
     _, _, over, stays = FAULTS.get(e.fault, FAULTS["bias"])
-    if e.open or not ended:
-        return stays if e.open else "whether it is over is not known"
-    if not after or e.fault in SEEN_TO_END:
-        return over
+    if e.open:
+        return stays
+    if not after or (ended and e.fault in SEEN_TO_END):
+        return over if ended else UNKNOWN
     first, last = after[0], max(after, key=lambda o: (o.hypothesis == e.hypothesis, o.open, o.end))
     goes_on = last.open or last.hypothesis == e.hypothesis
     parts = [_follow_up(o, e.hypothesis, words, clock) for o in ([first] if last is first or not goes_on else [first, last])]
-    return ", and ".join(parts if goes_on else [*parts, f"after {clock.wall(last.end)} {over}"])
+    then = f"after {clock.wall(last.end)} {over}" if ended else UNKNOWN
+    return ", and ".join(parts if goes_on else [*parts, then])
 
 
 def _follow_up(o: Event, sensor: str, words: Words, clock: Clock) -> str:
@@ -326,4 +328,5 @@ def _first(text: str) -> str:
 
 def _stop(text: str) -> str:
     """A text as a sentence."""
+    text = _first(text) if text[:2].islower() else text  # not pH
     return text if not text or text[-1] in ".!?" else f"{text}."

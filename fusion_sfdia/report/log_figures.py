@@ -212,6 +212,8 @@ def near(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event], poin
     expected = found.decisions.reconstruction[window, i]
     if found.after is not None:
         expected = np.where(np.isfinite(error), reading - error, expected)
+    else:
+        expected = np.where(expected == reading, np.nan, expected)  # only what replaces a reading
     shown = thinned(reading, points)
     line = ".-" if shown.size == reading.size and shown.size < MOST_DOTS else "-"
     ends = (float(t[window][0]), float(t[window][-1]))
@@ -226,7 +228,8 @@ def near(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event], poin
     if found.after is not None:
         upper.fill_between(x, low, high, color=COLOURS[2], alpha=0.25, lw=0, label="expected range (95 %)")
     dots = {"color": COLOURS[0], "markersize": 3, "linewidth": 0.8}
-    upper.plot(x, middle, color=COLOURS[2], linewidth=1.2, label="expected", gid="expected")
+    replaces = "expected" if found.after is not None else "reconstructed"
+    upper.plot(x, middle, color=COLOURS[2], linewidth=1.2, label=replaces, gid=replaces)
     upper.plot(x, read, line, **dots, label="reading", gid="reading")
     lower.plot(x, difference, line, **dots, gid="difference" if found.after is not None else "over its limit")
     lower.fill_between(x, -limit, limit, color="0.85", lw=0, zorder=0)
@@ -235,12 +238,17 @@ def near(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event], poin
         shade(axes, spans, color=colour, alpha=0.15, zorder=0, lw=0, label=f"found: {word}" if axes is upper else None)
     _strip(strip, found, rows, inside, ends)
     name = fill(plant.sensor_names[i], WIDE)
-    upper.set_ylabel(f"{name}{' ' if len(name) + len(unit) < WIDE else chr(10)}[{unit}]")
-    lower.set_ylabel(f"difference\n[{unit}]" if found.after is not None else "over its\nlimit")
+    upper.set_ylabel(with_brackets(name, unit, " " if len(name) + len(unit) < WIDE else "\n"))
+    lower.set_ylabel(with_brackets("difference", unit, "\n") if found.after is not None else "over its\nlimit")
     strip.set_xlim(float(x[0]), float(at(t[window][-1] + step)))
     at.label_on(strip)
     figure.legend(*upper.get_legend_handles_labels(), loc="outside upper left", ncols=4, fontsize=7, columnspacing=1.0)
     return figure
+
+
+def with_brackets(name: str, unit: str, between: str = " ") -> str:
+    """A name with its unit beside an axis; the unit 1 is none."""
+    return name if unit == "1" else f"{name}{between}[{unit}]"
 
 
 def _extent(t: Array, events: Sequence[Event]) -> tuple[int, int, int]:
@@ -353,8 +361,8 @@ def process_size(axes: Axes, found: Diagnosis, name: str) -> None:
     axes.plot(x, size * scale, color=COLOURS[1], label="above the model")
     axes.fill_between(x, (size - 2 * sd) * scale, (size + 2 * sd) * scale, color=COLOURS[1], alpha=0.2, label="95 %", lw=0)
     axes.axhline(0.0, color="0.4", linewidth=1)
-    unit = "" if share or events[0].unit == "1" else f" [{events[0].unit}]"
-    axes.set(ylabel=f"above the model{unit}")
+    unit = "1" if share else events[0].unit
+    axes.set(ylabel=with_brackets("above the model", unit))
     at.label_on(axes)
     if share:
         axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=None))

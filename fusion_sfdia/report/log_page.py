@@ -41,13 +41,14 @@ POINTS = (100, 2000, 8000)  # of a line at least and at most, and of all figures
 class About(NamedTuple):
     """Names for people, of the log and of the detector, and what else is to be known of the detector, a line each.
 
-    basis: by what the log is judged, where that is no model.
+    basis: by what the log is judged, where that is no model. files: whether those of `diagnose` are beside the page.
     """
 
     log: str
     detector: str
     notes: tuple[str, ...] = ()
     basis: str = ""
+    files: bool = True
 
 
 class Drawn(NamedTuple):

@@ -27,7 +27,16 @@ from fusion_sfdia.logs.loaded_log import LoadedLog
 from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.figure_files import write_figure
-from fusion_sfdia.report.log_figures import LONGEST, broken, process_size, short, thinned, time_axis, time_line
+from fusion_sfdia.report.log_figures import (
+    LONGEST,
+    broken,
+    process_size,
+    short,
+    thinned,
+    time_axis,
+    time_line,
+    with_brackets,
+)
 from fusion_sfdia.report.log_page import About, write_page
 from fusion_sfdia.report.log_units import LogUnits
 from fusion_sfdia.report.plots import legend_above, panels, time_series
@@ -169,7 +178,7 @@ def draw(plant: Plant, y: NDArray[np.float64], found: Diagnosis) -> Figure:
         shown = np.union1d(thinned(y[:, i]), thinned(made))
         t, (reading, remade) = broken(found.t[shown], (y[shown, i], made[shown]), found.gaps)
         series = {"reading": reading, "reconstructed": remade}
-        label = f"{name} [{plant.sensors[i].unit}]"
+        label = with_brackets(name, plant.sensors[i].unit)
         time_series(axis, t, series, ylabel=label, spans=spans, at=time_axis(found))
         for patch in axis.patches:
             patch.set_label("fault")

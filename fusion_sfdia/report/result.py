@@ -116,7 +116,7 @@ class Result(Diagnosis):
 
         if (path := Path(path)).suffix != ".html":
             raise ValueError(f"report: {path} has another suffix; expected a file that ends in .html")
-        write_page(path, *self._shown(), About(self.source, self.detector, basis=self.basis))
+        write_page(path, *self._shown(), About(self.source, self.detector, basis=self.basis, files=False))
         return path
 
     def _shown(self) -> tuple[Plant, Any, Diagnosis]:

@@ -68,6 +68,21 @@ def test_an_event_that_was_not_seen_to_end_may_still_be_there() -> None:
     assert sentence(closed, WORDS, NIGHT).startswith("Something that the model leaves out lowered the tank from")
 
 
+def test_a_fault_found_again_after_a_pause_is_not_said_to_be_unknown() -> None:
+    again = replace(TT04, start=7260.0, end=9000.0, open=True)
+    assert "; it has been wrong again since 2026-03-01 04:08. " in sentence(TT04, WORDS, NIGHT, ended=False, after=(again,))
+    other = replace(INFLOW, start=6780.0, end=7200.0, open=False)
+    said = sentence(TT04, WORDS, NIGHT, ended=False, after=(other,))
+    assert " explained the readings, and whether it is over is not known. " in said
+
+
+@pytest.mark.parametrize(
+    ("check", "said"), [("tap the float", "Tap the float."), ("pH: clean it", "pH: clean it."), ("Tap it!", "Tap it!")]
+)
+def test_what_to_check_is_a_sentence(check: str, said: str) -> None:
+    assert sentence(TT04, WORDS | {"TT04": WORDS["TT04"]._replace(check=check)}, NIGHT).endswith(f" {said}")
+
+
 def test_a_fault_that_another_finding_follows_is_not_said_to_be_over() -> None:
     def now(*after: Event, fault: str = "bias") -> str:
         return sentence(replace(TT04, fault=fault), WORDS, NIGHT, after=after).partition("; ")[2].partition(". ")[0]

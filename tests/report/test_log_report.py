@@ -285,6 +285,32 @@ def test_many_times_of_one_sensor_are_one_finding(tmp_path: Path) -> None:
     assert page.count("<td>bias</td>") == 15 and page.count("q12 read") == 1
 
 
+def test_without_a_second_look_a_figure_shows_what_replaces_readings_and_calls_it_so() -> None:
+    q12 = [e for e in BOTH.events if e.hypothesis == "q12"]
+    line, reading = near(PLANT, BIASED, replace(BOTH, after=None), q12).axes[0].get_lines()
+    assert line.get_label() == "reconstructed" and reading.get_label() == "reading"
+    replaced, read = np.asarray(line.get_ydata(), float), np.asarray(reading.get_ydata(), float)
+    np.testing.assert_array_equal(np.isfinite(replaced), BOTH.decisions.reconstruction[-len(read) :, 2] != read)
+    assert np.isnan(replaced[0]) and np.isfinite(replaced[-1])  # before and during the fault
+
+
+def test_a_page_alone_names_no_files_beside_it(tmp_path: Path) -> None:
+    write_page(tmp_path / "with.html", PLANT, BIASED, BOTH, About("a log", "a detector"))
+    write_page(tmp_path / "alone.html", PLANT, BIASED, BOTH, About("a log", "a detector", files=False))
+    assert ["events.csv" in (tmp_path / name).read_text(encoding="utf-8") for name in ("with.html", "alone.html")] == [
+        True,
+        False,
+    ]
+    alone = diagnose(bank(), Log(T, Y[:, 0], U[:, 0])).report(tmp_path / "result.html").read_text(encoding="utf-8")
+    assert "Files beside this page" not in alone
+
+
+def test_a_figure_of_a_sensor_without_a_unit_shows_none() -> None:
+    plain = replace(PLANT, sensors=tuple(replace(s, unit="1") for s in PLANT.sensors))
+    upper, lower, _ = near(plain, BIASED, BOTH, [e for e in BOTH.events if e.hypothesis == "q12"]).axes
+    assert (upper.get_ylabel(), lower.get_ylabel()) == ("q12", "difference")
+
+
 def test_a_figure_states_how_its_lines_are_read_as_times_and_values() -> None:
     q12 = [e for e in BOTH.events if e.hypothesis == "q12"]
     plots = list[dict[str, Any]]()

@@ -38,8 +38,9 @@ def advised(settings: Settings, cells: Mapping[str, ComparisonCell], ranked: Map
     cell, (_, large) = cells[name], sizes(settings)
     equals = [d for d in ranked if d != name and ranked[d].rank == 1]
     equal = f" (no worse beyond chance: {', '.join(equals)})" if 0 < len(equals) <= MOST_EQUALS else ""
-    many = " No other is worse beyond chance." if 1 < len(ranked) == len(equals) + 1 else ""
-    advice = [f"{cell.plant}: {name} has the least loss, {ranked[name].mean.value:.2f}{equal}.{many}"]
+    if 1 < len(ranked) == len(equals) + 1:
+        equal = "; no other is worse beyond chance"
+    advice = [f"{cell.plant}: {name} has the least loss, {ranked[name].mean.value:.2f}{equal}."]
     for other, (low, high) in cheaper_elsewhere({d: cells[d] for d in ranked}, settings, name).items():
         if low == 0:
             where = f"less than {100 * high:.3g} %"

@@ -57,9 +57,7 @@ def test_the_advice_states_for_which_models_another_costs_less() -> None:
 def test_what_is_no_worse_beyond_chance_is_named() -> None:
     cells = two() | {"third": cell()}
     assert "0.33 (no worse beyond chance: first). With" in advised(SETTINGS_HERE, cells, ranked(cells, first=1))
-    assert "(no worse beyond chance: first, third). No other is worse" in advised(
-        SETTINGS_HERE, cells, ranked(cells, first=1, third=1)
-    )
+    assert "0.33; no other is worse beyond chance. With" in advised(SETTINGS_HERE, cells, ranked(cells, first=1, third=1))
     many = {f"d{k}": cell() for k in range(6)} | {"last": cell(falsely_isolated=np.full((12, 2), 4))}
     assert "d0 has the least loss, 0.85. With" in advised(SETTINGS_HERE, many, ranked(many))
 
