@@ -251,8 +251,8 @@ class Diagnosis:
         return f"<{type(self).__name__} of {len(self.t)} readings, {count} event{'s' * (count != 1)}: {self.verdict}>"
 
     def _repr_html_(self) -> str:
-        rows = [(e.hypothesis, self.clock.at(e.start), self.clock.at(e.end), e.summary(self.clock)) for e in self.findings]
-        return as_html(self.verdict, self.health.line if self.health else "", ("what", "from", "to", "in words"), rows)
+        rows = [(kind_of(e).word, self.sentence(e)) for e in self.standing]
+        return as_html(self.headline, self.caution, ("kind", "finding"), rows)
 
     def frame(self) -> Any:
         """The events as a pandas DataFrame, a column for each of events.csv.

@@ -23,12 +23,15 @@ def as_json(found: Diagnosis, shown_in: LogUnits, read: LoadedLog, about: About)
     """A diagnosis in the units of the plant, in which sensors also have their tags and sizes in the units of the log."""
     d, t, clock, health, in_log = found.decisions, found.t, found.clock, found.health, shown_in.diagnosis(found)
     shown = dict(zip(map(id, found.events), in_log.events, strict=True))
+    passing = set(map(id, found.passing))
     document = {
         "format": FORMAT,
         "log": about.log,
         "detector": about.detector,
         "state": str(found.state),
         "verdict": found.verdict,
+        "headline": found.headline,
+        "caution": found.caution,
         "remarks": found.remarks,
         "health": None
         if health is None
@@ -60,7 +63,10 @@ def as_json(found: Diagnosis, shown_in: LogUnits, read: LoadedLog, about: About)
             }
             for name, unit, s in zip(shown_in.own, shown_in.units, shown_in.plant.sensors, strict=True)
         ],
-        "events": [_event(found, e, shown[id(e)], shown_in) | {"text": in_log.sentence(shown[id(e)])} for e in found.findings],
+        "events": [
+            _event(found, e, shown[id(e)], shown_in) | {"passing": id(e) in passing, "text": in_log.sentence(shown[id(e)])}
+            for e in found.findings
+        ],
     }
     return json.dumps(for_json(document), indent=2, allow_nan=False)
 

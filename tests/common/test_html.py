@@ -42,8 +42,11 @@ def test_diagnosis_plant_recording_and_comparison_are_shown_in_notebooks() -> No
     ]
     compared = ComparisonResult(ranked, [], [], [], None, "")  # type: ignore[arg-type]
     each: dict[str, Any] = {
-        "sensor q12": found(None), "&lt;i&gt;": plant, "Recording of 2 runs": simulate(PLANT, 3, [0, 1]), "a, b": compared,
-    }  # fmt: skip
+        "Flow between the tanks q12 has read": found(None),
+        "&lt;i&gt;": plant,
+        "Recording of 2 runs": simulate(PLANT, 3, [0, 1]),
+        "a, b": compared,
+    }
     for text, one in each.items():
         shown = one._repr_html_()
         assert text in shown and "<i>" not in shown and len(shown) < 2000

@@ -24,7 +24,7 @@ def require_described(text: str) -> dict[str, Any]:
     document: dict[str, Any] = json.loads(text)
     Draft202012Validator(schema()).validate(document)
     assert document.keys() == schema()["properties"].keys()
-    of_events = schema()["$defs"]["event"]["properties"].keys() | {"start_row", "end_row", "in_log"}
+    of_events = schema()["$defs"]["event"]["properties"].keys() | {"start_row", "end_row", "passing", "in_log"}
     assert all(event.keys() <= of_events for event in document["events"])
     return document
 

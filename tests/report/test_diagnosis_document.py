@@ -13,6 +13,7 @@ from toy_plants import Array, readings, tanks
 
 from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.diagnosis.diagnose import Diagnosis, diagnose_run
+from fusion_sfdia.diagnosis.events import Event
 from fusion_sfdia.logs.columns import Source
 from fusion_sfdia.logs.conversion import conversion
 from fusion_sfdia.logs.loaded_log import Finding, LoadedLog
@@ -39,12 +40,23 @@ def written(diagnosis: Diagnosis, *columns: Source) -> str:
     return as_json(diagnosis, LogUnits(PLANT, columns), read, About("plant.csv", "process-bank"))
 
 
+def undecided_of(diagnosis: Diagnosis) -> Event:
+    return next(e for e in diagnosis.events if e.kind == "undecided")
+
+
 def test_every_kind_of_event_is_as_the_schema_describes() -> None:
     diagnosis = found(BIASED)
     document = require_described(written(diagnosis, FLOW))
     assert (document["state"], document["verdict"]) == (diagnosis.state, diagnosis.verdict)
     assert document["health"]["suspect"] and document["health"]["text"] == diagnosis.health.line  # type: ignore[union-attr]
+    assert document["headline"] == "1 faulty sensor, 1 process change, 1 unresolved alarm"
+    assert document["caution"] == diagnosis.caution != ""
     sensor, process, undecided = document["events"]
+    assert not any(e["passing"] for e in document["events"])
+    resolved = replace(
+        diagnosis, events=[diagnosis.events[0], replace(undecided_of(diagnosis), start=0.0, end=5.0, open=False)]
+    )
+    assert [e["passing"] for e in require_described(written(resolved))["events"]] == [False, True]
     assert process["kind"] == "process" and process["sd"] > 0 and process["in_log"] is None
     assert undecided["suspects"] == ["l1", "error of inflow"] and undecided["size"] is None
     assert (sensor["kind"], sensor["hypothesis"], sensor["open"]) == ("sensor", "q12", True)
