@@ -237,7 +237,7 @@ class Diagnosis:
         ]
         lines += [
             f"gap from {self.clock.at(g.start)} to {self.clock.at(g.end)}: "
-            + ("too long for the model, the estimate starts anew" if g.reset else f"predicted in {g.steps} steps")
+            + ("too long to predict across, the diagnosis starts anew after it" if g.reset else f"predicted in {g.steps} steps")
             for g in self.gaps[:MOST_GAPS]
         ]
         more = len(self.gaps) - MOST_GAPS

@@ -110,4 +110,4 @@ def test_a_diagnosis_after_a_fresh_start_is_that_of_the_rest_alone() -> None:
         found = diagnose(detector, t, y, u)
     rest = diagnose(detector, t[15:], y[15:], u[15:])
     np.testing.assert_array_equal(found.decisions.estimate[15:], rest.decisions.estimate)
-    assert found.remarks[0].endswith("too long for the model, the estimate starts anew")
+    assert found.remarks[0].endswith("too long to predict across, the diagnosis starts anew after it")
