@@ -308,8 +308,12 @@ def _strip(
 
 
 def label(found: Diagnosis, e: Event, longest: int = LONGEST) -> str:
-    """The name of an event beside an axis: of an undecided one those of the first suspects, as many as have room."""
+    """The name of an event beside an axis: of an undecided one those of the first suspects, as many as have room, or the only
+    one with a question mark.
+    """
     names = [short(found, name, longest) for name in (e.suspects if isinstance(e, UndecidedEvent) else (e.hypothesis,))]
+    if isinstance(e, UndecidedEvent) and len(names) == 1:
+        names = [f"{names[0]}?"]
     texts = [listed(names, " or ", most) for most in (2, 1)]
     text = next((text for text in texts if len(text) <= longest), texts[-1])
     if len(text) > longest and len(names) > 1:

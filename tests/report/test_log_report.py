@@ -347,6 +347,7 @@ def test_names_beside_an_axis_are_tags_or_few_words() -> None:
     several = replace(between, suspects=("outlet", "l1", "q12"))
     assert label(seen, several) == "outlet of the upper tank or 2 more" and label(seen, several, 18) == "outlet or 2 more"
     assert label(seen, between, 11) == "l1 or 1 mo…"
+    assert label(seen, replace(between, suspects=("l1",))) == "l1?"
 
 
 def test_the_offsets_of_a_zone_are_known_from_their_first_second() -> None:
