@@ -184,7 +184,7 @@ function plot(paper) {
 function parts(svg) {
   const found = new Map();
   const path = (element) => {
-    const before = element.getAttribute("d");
+    const before = element.getAttribute("d") ?? ""; // of a line without points there is none
     const moved = (k, shift) => before.replace(/([ML])\s*(\S+)/g, (_, letter, x) => `${letter} ${(k * x + shift).toFixed(2)}`);
     found.set(element, (k, shift) => element.setAttribute("d", k === 1 ? before : moved(k, shift)));
   };
@@ -203,7 +203,7 @@ function parts(svg) {
 // The points of a line, with their values by the scale of its panel.
 function read(svg, { box, y, unit }, id) {
   const path = svg.querySelector(`[id$="-${id}"] path`), x = [], height = [];
-  for (const point of path ? path.getAttribute("d").matchAll(/[ML]\s*(\S+)\s+(\S+)/g) : []) {
+  for (const point of (path?.getAttribute("d") ?? "").matchAll(/[ML]\s*(\S+)\s+(\S+)/g)) {
     x.push(Number(point[1]));
     height.push(Number(point[2]));
   }

@@ -229,7 +229,8 @@ def near(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event], poin
         upper.fill_between(x, low, high, color=COLOURS[2], alpha=0.25, lw=0, label="expected range (95 %)")
     dots = {"color": COLOURS[0], "markersize": 3, "linewidth": 0.8}
     replaces = "expected" if found.after is not None else "reconstructed"
-    upper.plot(x, middle, color=COLOURS[2], linewidth=1.2, label=replaces, gid=replaces)
+    if np.any(np.isfinite(middle)):
+        upper.plot(x, middle, color=COLOURS[2], linewidth=1.2, label=replaces, gid=replaces)
     upper.plot(x, read, line, **dots, label="reading", gid="reading")
     lower.plot(x, difference, line, **dots, gid="difference" if found.after is not None else "over its limit")
     lower.fill_between(x, -limit, limit, color="0.85", lw=0, zorder=0)

@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
 
@@ -17,7 +18,7 @@ from toy_scenario import TOY
 
 from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.diagnosis.diagnose import diagnose_run
+from fusion_sfdia.diagnosis.diagnose import DiagnosisWarning, diagnose_run
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.report.content import Summary
 from fusion_sfdia.report.log_page import About, write_page
@@ -142,6 +143,20 @@ def test_the_report_of_a_diagnosis_fits_a_phone_and_fetches_nothing(browser: Any
     near = browser.execute_script("return document.querySelector('.near svg').getBoundingClientRect().width")
     assert 280 < near < 360  # as wide as the screen, not to be scrolled
     browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_every_figure_works_also_of_a_sensor_without_readings(browser: Any, tmp_path: Path) -> None:
+    plant = tanks()
+    t, _, y, u = readings(plant, 60, 1, seed=0)
+    y = y[:, 0] + 20 * plant.sensor_sigma * np.outer(t > 150, np.arange(4) == 2)
+    y[:, 0] = np.nan
+    with pytest.warns(DiagnosisWarning, match="l1"):
+        found = diagnose_run(LeaveOneOutBank(plant), Log(t, y, u[:, 0]))
+    write_page(tmp_path / "report.html", plant, y, replace(found, after=None), About("log.csv", "loo"))
+    browser.get((tmp_path / "report.html").as_uri())
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+    count = "return document.querySelectorAll('%s').length"
+    assert browser.execute_script(count % ".tools") == browser.execute_script(count % "[data-plot]") > 1
 
 
 def test_a_figure_is_read_and_zoomed(browser: Any, diagnosis: str) -> None:
