@@ -211,12 +211,18 @@ class Diagnosis:
         return not lost and not any(gap.reset and gap.start <= event.end < gap.end for gap in self.gaps)
 
     @property
+    def is_explained_by_the_process(self) -> bool:
+        """Whether readings do not fit the model, and a change of the process was found, which may be why."""
+        suspect = self.health is not None and self.health.suspect
+        return suspect and any(kind_of(e).verdict is Verdict.PROCESS for e in self.events)
+
+    @property
     def caution(self) -> str:
         """What a model that may not fit means for the findings, in a sentence; "" where it fits."""
         if self.health is None:
             return ""
-        if self.health.suspect and any(kind_of(e).verdict is Verdict.PROCESS for e in self.events):
-            return "If the plant is in order there, the model is not: tune it to a log without a fault."
+        if self.is_explained_by_the_process:
+            return "If the plant was in order at that time, the model is wrong: tune it to a log without a fault."
         if self.health.suspect:
             return (
                 "The model does not fit these readings, so that findings may be its errors: tune it to a log without a fault."

@@ -112,12 +112,13 @@ def files(suffix: str) -> list[str]:
 
 def as_text(found: Diagnosis, detector: str) -> str:
     """The diagnosis for people: what was found in a few words, a sentence each, the most important first; then how it is to be
-    taken, what limits the detector, and whether the model fits.
+    taken, what limits the detector, and whether the model fits, unless a change of the process explains that it does not.
     """
     lines = [f"{len(found.t)} readings by {detector}: {found.headline}"]
     lines += [f"  {found.sentence(e)}" for e in found.findings]
     lines += [line for line in (found.caution, *found.remarks) if line]
-    return "\n".join([*lines, *([found.health.line] if found.health else [])])
+    lines += [found.health.line] if found.health and not found.is_explained_by_the_process else []
+    return "\n".join(lines)
 
 
 def write_diagnosis(
