@@ -166,10 +166,15 @@ def jackknife_over_runs(statistic: Callable[[Array], Array], runs: int) -> Estim
     return _wilson(value, float((runs - 1) / runs * np.sum((parts - parts.mean()) ** 2)), runs)
 
 
-def one_run(values: Any) -> Array:
-    """Values of one run, (K,) or (K, N), as (K, 1, N); others as they are."""
+def by_run(values: Any) -> Array:
+    """Values of sensors in one run, (K,) or (K, N), as (K, 1, N); others as they are."""
     found = np.asarray(values)
     return found if found.ndim > 2 else found.reshape(len(found), 1, -1)
+
+
+def per_sample(values: Any) -> Any:
+    """What a run has once for each sample, (K,), as (K, 1); others and None as they are."""
+    return np.asarray(values)[:, None] if np.ndim(values) == 1 else values
 
 
 def require_shapes(**arrays: tuple[Array, tuple[int, ...]]) -> None:

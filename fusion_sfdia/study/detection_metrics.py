@@ -16,9 +16,10 @@ from sklearn.metrics import roc_curve
 from fusion_sfdia.common.run_statistics import (
     NOTHING,
     Estimate,
+    by_run,
     jackknife_over_runs,
     mean_over_runs,
-    one_run,
+    per_sample,
     proportion,
     rate_over_runs,
     require_shapes,
@@ -130,8 +131,7 @@ def roc(scores: Array, active: Array, where: Array | None = None) -> RocCurve:
     (array([0., 0., 0., 1.]), array([0. , 0.5, 1. , 1. ]))
     """
     if np.ndim(scores) == 1:  # of one run
-        scores, active = np.asarray(scores)[:, None], one_run(active)
-        where = None if where is None else np.asarray(where).reshape(-1, 1)
+        scores, active, where = per_sample(scores), by_run(active), per_sample(where)
     score, truth, _ = _labelled(scores, active, where)
     if not score.size or truth.all() or not truth.any():
         return RocCurve(np.empty(0), np.empty(0), np.empty(0))
@@ -261,8 +261,8 @@ def _rate(hit: Array, among: Array, where: Array | None) -> Estimate:
 def _labelled(scores: Array, active: Array, where: Array | None) -> tuple[Array, Array, Array]:
     """Scores, truth and run of every sample that is counted, flat; an infinite score is the largest number."""
     truth: Array = active if scores.ndim == 3 else np.asarray(active.any(axis=-1))
-    require_shapes(scores=(scores, truth.shape))
     counted = np.ones(truth.shape[:2], bool) if where is None else where
+    require_shapes(scores=(scores, truth.shape), where=(counted, truth.shape[:2]))
     if np.any(np.isnan(scores[counted])):
         raise ValueError("scores has NaN; give a sample that was not evaluated the score 0, or leave it out by `where`")
     run = np.broadcast_to(np.arange(truth.shape[1]).reshape((-1,) + (1,) * (truth.ndim - 2)), truth.shape)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.metrics import confusion_matrix
 
-from fusion_sfdia.common.run_statistics import Estimate, one_run, rate_over_runs, require_shapes
+from fusion_sfdia.common.run_statistics import Estimate, by_run, per_sample, rate_over_runs, require_shapes
 
 Array = NDArray[Any]
 
@@ -73,8 +73,7 @@ def confusion(isolated: Array, active: Array, where: Array | None = None) -> Arr
            [0., 1., 1.],
            [0., 0., 0.]])
     """
-    isolated, active = one_run(isolated), one_run(active)
-    where = None if where is None else np.asarray(where).reshape(len(active), -1)
+    isolated, active, where = by_run(isolated), by_run(active), per_sample(where)
     counted = _counted(isolated, active, where)
     found, faulty = isolated[counted], active[counted]
     n = found.shape[-1]

@@ -471,3 +471,10 @@ def test_one_run_needs_no_axis_of_runs() -> None:
     matrix = isolation.confusion(isolated[:, None], active[:, None], where[:, None])
     np.testing.assert_array_equal(isolation.confusion(isolated, active, where), matrix)
     assert isolation.confusion(isolated[:, 0], active[:, 0]).sum() == 40
+
+
+def test_samples_that_count_in_another_order_of_axes_are_refused() -> None:
+    scores, active = np.ones((4, 2)), np.zeros((4, 2, 3), bool)
+    for statistic, values in ((detection.roc, scores), (isolation.confusion, active)):
+        with pytest.raises(ValueError, match="where"):
+            statistic(values, active, np.ones((2, 4), bool))

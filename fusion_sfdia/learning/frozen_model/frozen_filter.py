@@ -83,6 +83,10 @@ class FrozenFilter:
     along: Array | float = 0.0  # B (N, n): derivative of what is taken from innovations with respect to the predicted states
 
     @cached_property
+    def _is_corrected(self) -> bool:
+        return bool(np.any(self.along))
+
+    @cached_property
     def model(self) -> Plant:
         """The augmented plant, at these values, which no reading changes; its disturbances are estimated."""
         model = held(self.plant)
@@ -124,9 +128,8 @@ class FrozenFilter:
         def followed(effect: Array, F: Array, H: Array, K: Array) -> tuple[Array, Array]:
             ahead = F @ effect
             by_cause = H @ ahead + own
-            return ahead - K @ by_cause, by_cause + (self.along @ ahead[..., :n, :] if corrected else 0.0)
+            return ahead - K @ by_cause, by_cause + (self.along @ ahead[..., :n, :] if self._is_corrected else 0.0)
 
-        corrected = np.any(self.along)
         effect, by_cause = followed(now.effect, tangent, readout, gain)
         fresh, grown, by_begun = now.fresh, now.grown, np.zeros_like(by_cause)
         if self.of_sensors:
