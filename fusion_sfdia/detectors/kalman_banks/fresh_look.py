@@ -9,6 +9,9 @@ began (Friedland 1969; eta, M as in `likelihood_window`):
 
 - The first look begins with a verdict, at what is known then. A sensor is in doubt where what is isolated explains the look no
   better, by a margin of evidence, than if one jump of an unknown took its place.
+- Where the verdict is that an unknown has changed, and no sensor is left out, it begins at what was known before. Two faults that
+  begin together may look at first as one change of the process: after `ENOUGH` samples the verdict is that one or two sensors
+  have failed, if their biases explain the look better, by `AGAINST`, than any one or two causes with a jump.
 - The later ones begin after `FIRST` samples, then after `MOST`, with states and unknowns as uncertain as at first, since what
   is known may be wrong. The sensors are right where such a look fits all readings, no bias is beyond `WITHIN` standard
   deviations, and the faults f for which they are left out would show: f'A f - 2 f'a, the evidence against them, is at least
@@ -134,7 +137,8 @@ def answered(now: Look, asked: Question) -> tuple[Look, Array]:
     sums, biases = Sums(a, A, size[causes]), out[..., some]
     isolated = np.concatenate([biases, np.zeros((*biases.shape[:-1], size.size - N), bool)], axis=-1)
 
-    b, sd = sums.estimated(isolated)
+    b, P = sums.estimated(isolated)
+    sd = np.where(isolated, np.sqrt(np.einsum("...ii->...i", P)), np.inf)
     f = np.where(isolated, np.concatenate([fault[..., some], np.zeros(isolated.shape)[..., some.size :]], axis=-1), 0.0)
     against = np.einsum("...i,...ij,...j->...", f, A, f) - 2 * np.sum(f * a, axis=-1)
     within = (np.abs(b) <= WITHIN * sd)[..., : some.size]
@@ -152,6 +156,30 @@ def answered(now: Look, asked: Question) -> tuple[Look, Array]:
     return now._replace(doubt=every), right
 
 
+def failed_instead(now: Look, size: Array, inflation: Array, where: Array) -> tuple[Array, Array, GaussianState]:
+    """In the runs `where` (...) holds, the one or two sensors (..., N) that have failed in place of the process, none where a jump
+    may explain the look as well; the biases (..., N), and the estimate without what they have done to it.
+
+    size, inflation: as of `Question`.
+    """
+    N, q = now.doubt.shape[-1], size.size
+    failed, bias, estimate = np.zeros(now.doubt.shape, bool), np.zeros(now.doubt.shape), now.estimate
+    where = where & now.first & (now.samples == ENOUGH + 1)
+    if not where.any():
+        return failed, bias, estimate
+    sums = Sums(now.a / inflation[..., None], now.A / inflation[..., None, None], size)
+    two = sums.of_two()
+    biases, jump = two[..., :N, :N].reshape(*where.shape, N * N), two[..., N:, :].max(axis=(-2, -1), initial=-np.inf)
+    best = np.argmax(biases, axis=-1)
+    lead = np.take_along_axis(biases, best[..., None], axis=-1)[..., 0] - jump
+    which = np.arange(q) == (best // N)[..., None]
+    which = (which | (np.arange(q) == (best % N)[..., None])) & (where & (lead >= AGAINST))[..., None]
+    found, P = sums.estimated(which)
+    x = estimate.x - (now.eta @ found[..., None])[..., 0]
+    P = estimate.P + now.eta @ P @ np.swapaxes(now.eta, -1, -2)
+    return which[..., :N], found[..., :N], GaussianState(x, P)
+
+
 class Sums(NamedTuple):
     """a (..., q), A (..., q, q) of q causes, and the standard deviation of each before any reading (q,)."""
 
@@ -160,11 +188,10 @@ class Sums(NamedTuple):
     size: Array
 
     def estimated(self, which: Array) -> tuple[Array, Array]:
-        """The causes `which` (..., q) together and their standard deviations; 0 and inf of others."""
+        """The causes `which` (..., q) together, and their covariance (..., q, q); 0 of others."""
         held = which[..., None] & which[..., None, :]
-        P = np.linalg.inv(np.where(held, self.A, 0.0) + np.eye(self.size.size) / self.size**2)
-        found = (P @ np.where(which, self.a, 0.0)[..., None])[..., 0]
-        return found, np.where(which, np.sqrt(np.einsum("...ii->...i", P)), np.inf)
+        P = np.where(held, np.linalg.inv(np.where(held, self.A, 0.0) + np.eye(self.size.size) / self.size**2), 0.0)
+        return (P @ np.where(which, self.a, 0.0)[..., None])[..., 0], P
 
     def evidence(self, which: Array) -> Array:
         """Twice the logarithm of the likelihood ratio (...) of the causes `which` (..., q) to none, averaged over their sizes:
@@ -174,6 +201,18 @@ class Sums(NamedTuple):
         held = which[..., None] & which[..., None, :]
         scaled = np.where(held, self.A * self.size[:, None] * self.size, 0.0) + np.eye(self.size.size)
         return np.asarray(np.sum(a * np.linalg.solve(scaled, a[..., None])[..., 0], axis=-1) - np.linalg.slogdet(scaled)[1])
+
+    def of_two(self) -> Array:
+        """The evidence of each two causes (..., q, q), on the diagonal of each alone; -inf of causes that no reading shows."""
+        shown = np.einsum("...ii->...i", self.A) > 0
+        a, A = self.a * self.size, self.A * self.size[:, None] * self.size
+        d = np.einsum("...ii->...i", A) + 1
+        det = d[..., None] * d[..., None, :] - A**2
+        square = a[..., None] ** 2 * d[..., None, :]
+        both = (square + np.swapaxes(square, -1, -2) - 2 * A * a[..., None] * a[..., None, :]) / det - np.log(det)
+        one = (a**2 / d - np.log(d))[..., None, :]
+        found = np.where(np.eye(self.size.size, dtype=bool), one, both)
+        return np.where(shown[..., None] & shown[..., None, :], found, -np.inf)
 
     def replaced(self, isolated: Array, biases: int, where: Array, margin: float) -> Array:
         """Whether one jump in the place of each bias (..., biases) explains as much, but for the margin, as all `isolated`; of

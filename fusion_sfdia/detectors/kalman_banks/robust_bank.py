@@ -32,7 +32,7 @@ from scipy.special import ndtri
 from fusion_sfdia.common.arguments import number, whole
 from fusion_sfdia.detectors.batch_detector import TimeStep
 from fusion_sfdia.detectors.detector import Decision, ProcessHypothesis
-from fusion_sfdia.detectors.exclusion import restored
+from fusion_sfdia.detectors.exclusion import exclude, restored
 from fusion_sfdia.detectors.health import of_runs
 from fusion_sfdia.detectors.kalman_banks.competition import (
     Accepted,
@@ -57,6 +57,7 @@ from fusion_sfdia.detectors.kalman_banks.fresh_look import (
     Question,
     answered,
     begun,
+    failed_instead,
     remembered,
     with_sample,
 )
@@ -70,7 +71,6 @@ from fusion_sfdia.detectors.kalman_banks.likelihood_window import (
     Window,
     best_onset,
     residual_and_threshold,
-    restarted,
     shifted,
     updated,
     weigh,
@@ -90,7 +90,7 @@ from fusion_sfdia.detectors.kalman_banks.reading_noise import (
     unclipped,
 )
 from fusion_sfdia.detectors.kalman_banks.robust_memory import RobustMemory, empty_memory, faded, leaves_unexplained
-from fusion_sfdia.detectors.kalman_banks.standing import Standing, added_noise, followed, sizes, with_accepted
+from fusion_sfdia.detectors.kalman_banks.standing import Standing, added_noise, followed, nothing, sizes, with_accepted
 from fusion_sfdia.detectors.kalman_banks.steady_gains import (
     Gains,
     SteadyGains,
@@ -391,7 +391,7 @@ class RobustBank(ExcludingBank):
             faded(nis, everything), noise, walk, look, steady,
         )  # fmt: skip
         if self.accommodate:
-            after = self._with_look(after, self._begins(memory, after), now, y, u, quiet)
+            after = self._with_look(memory, after, now, y, u, quiet)
         doubt = after.look.doubt
         if doubt.any():
             decision = replace(
@@ -401,18 +401,20 @@ class RobustBank(ExcludingBank):
         evidence = of_runs(np.any(isolated, axis=-1), of_whole, evidence)
         return rests, (after, self._with_process(decision, evidence, after, undecided, (x[..., own], variance)))
 
-    def _begins(self, before: RobustMemory, after: RobustMemory) -> Array:
-        """Where another sensor is left out or another process hypothesis stands (...)."""
-        sensors = after.exclusion.out & ~before.exclusion.out
-        process = after.standing.accepted & ~before.standing.accepted
-        return np.asarray(sensors.any(axis=-1) | process.any(axis=-1))
+    def _with_look(
+        self, before: RobustMemory, now: RobustMemory, at: TimeStep, y: Array, u: Array, quiet: Array
+    ) -> RobustMemory:
+        """A fresh look while a verdict stands: it raises doubt, readmits sensors that are left out, as they are right, or leaves
+        out those that failed in place of the process.
 
-    def _with_look(self, now: RobustMemory, anew: Array, at: TimeStep, y: Array, u: Array, quiet: Array) -> RobustMemory:
-        """A fresh look while a verdict stands: it raises doubt, or readmits sensors that are left out, as they are right.
-
-        It begins `anew` (...) with each verdict. quiet (..., N): sensors whose readings it does not use.
+        It begins with each verdict, with one on the process alone at what was known `before` the step. quiet (..., N): sensors
+        whose readings it does not use.
         """
         of, look = self._hypotheses, now.look
+        process = (now.standing.accepted & ~before.standing.accepted).any(axis=-1)
+        alone = ~now.exclusion.out.any(axis=-1)
+        anew = (now.exclusion.out & ~before.exclusion.out).any(axis=-1) | (process & ~alone)
+        look = begun(look, before.estimate, process & alone & ~before.standing.accepted.any(axis=-1), first=True)
         if (look.samples > 0).any():
             prior = self._predict(look.estimate, now.standing, now.walk, at, u)
             joint = self._joint(prior, now.noise, at, u)
@@ -426,10 +428,15 @@ class RobustBank(ExcludingBank):
             look, right = of_runs(anew, look, judged), right & ~anew  # what stands since now is not of this look
             if right.any():
                 again = self._readmitted(now, at.t, out & right[..., None])
-                estimate = of_runs(right, look.estimate, again.estimate)
-                windows = (restarted(carried, right) for carried in (again.recent, again.slow, again.update))
-                recent, slow, last = windows
-                now = again._replace(estimate=estimate, recent=recent, slow=slow, update=last)
+                now = again.restarted(of_runs(right, look.estimate, again.estimate), right)
+            blamed = alone & now.standing.accepted[..., : of.added].any(axis=-1)
+            failed, bias, estimate = failed_instead(look, size, inflation, blamed)
+            if (instead := failed.any(axis=-1) & (np.sum(failed, axis=-1) <= self.most_faults)).any():
+                none = nothing(instead.shape, of.added, len(self.plant.states))
+                standing = of_runs(instead, none, now.standing)
+                exclusion = exclude(now.exclusion, failed & instead[..., None], bias)
+                now = now._replace(exclusion=exclusion, standing=standing)
+                now, anew = now.restarted(of_runs(instead, estimate, now.estimate), instead), anew | instead
         stands = np.asarray(now.exclusion.out.any(axis=-1) | now.standing.accepted.any(axis=-1))
         if not (stands.any() or (look.samples > 0).any() or look.stood.any()):
             return now

@@ -12,7 +12,7 @@ from fusion_sfdia.detectors.kalman_banks.bank_kernels import contiguous, mean_of
 from fusion_sfdia.detectors.kalman_banks.fresh_look import Look, no_look
 from fusion_sfdia.detectors.kalman_banks.hypotheses import Hypotheses
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import LeaveOneOut
-from fusion_sfdia.detectors.kalman_banks.likelihood_window import OnsetGrid, Window, empty
+from fusion_sfdia.detectors.kalman_banks.likelihood_window import OnsetGrid, Window, empty, restarted
 from fusion_sfdia.detectors.kalman_banks.parameter_walk import Walk, no_walk
 from fusion_sfdia.detectors.kalman_banks.quiet import Pairs, no_pairs
 from fusion_sfdia.detectors.kalman_banks.reading_noise import ReadingNoise, nothing_shown
@@ -53,6 +53,11 @@ class RobustMemory(NamedTuple):
     walk: Walk
     look: Look
     steady: Any  # Steady, or ()
+
+    def restarted(self, estimate: GaussianState, where: Array) -> RobustMemory:
+        """The memory with another estimate, and windows that restart in the runs `where` (...) holds."""
+        recent, slow, update = (restarted(carried, where) for carried in (self.recent, self.slow, self.update))
+        return self._replace(estimate=estimate, recent=recent, slow=slow, update=update)
 
 
 def empty_memory(
