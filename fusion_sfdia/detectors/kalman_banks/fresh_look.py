@@ -9,9 +9,9 @@ began (Friedland 1969; eta, M as in `likelihood_window`):
 
 - The first look begins with a verdict, at what is known then. A sensor is in doubt where what is isolated explains the look no
   better, by a margin of evidence, than if one jump of an unknown took its place.
-- Where the verdict is that an unknown has changed, and no sensor is left out, it begins at what was known before. Two faults that
-  begin together may look at first as one change of the process: after `ENOUGH` samples the verdict is that one or two sensors
-  have failed, if their biases explain the look better, by `AGAINST`, than any one or two causes with a jump.
+- Where the verdict is that an unknown has changed, and no sensor is left out, it begins at what was known before. Two faults
+  that begin together may look at first as one change of the process: after `ENOUGH` samples the verdict is that one or two
+  sensors have failed, if their biases explain the look better, by `AGAINST`, than any one or two causes with a jump.
 - The later ones begin after `FIRST` samples, then after `MOST`, with states and unknowns as uncertain as at first, since what
   is known may be wrong. The sensors are right where such a look fits all readings, no bias is beyond `WITHIN` standard
   deviations, and the faults f for which they are left out would show: f'A f - 2 f'a, the evidence against them, is at least
@@ -157,8 +157,8 @@ def answered(now: Look, asked: Question) -> tuple[Look, Array]:
 
 
 def failed_instead(now: Look, size: Array, inflation: Array, where: Array) -> tuple[Array, Array, GaussianState]:
-    """In the runs `where` (...) holds, the one or two sensors (..., N) that have failed in place of the process, none where a jump
-    may explain the look as well; the biases (..., N), and the estimate without what they have done to it.
+    """In the runs `where` (...) holds, the two sensors (..., N) that have failed in place of the process, none where a jump and
+    another cause may explain the look as well; the biases (..., N), and the estimate without what they have done to it.
 
     size, inflation: as of `Question`.
     """
@@ -170,10 +170,9 @@ def failed_instead(now: Look, size: Array, inflation: Array, where: Array) -> tu
     sums = Sums(now.a / inflation[..., None], now.A / inflation[..., None, None], size)
     two = sums.of_two()
     biases, jump = two[..., :N, :N].reshape(*where.shape, N * N), two[..., N:, :].max(axis=(-2, -1), initial=-np.inf)
-    best = np.argmax(biases, axis=-1)
-    lead = np.take_along_axis(biases, best[..., None], axis=-1)[..., 0] - jump
-    which = np.arange(q) == (best // N)[..., None]
-    which = (which | (np.arange(q) == (best % N)[..., None])) & (where & (lead >= AGAINST))[..., None]
+    best = np.argmax(biases, axis=-1)[..., None]
+    decisive = where & (np.take_along_axis(biases, best, axis=-1)[..., 0] - jump >= AGAINST)
+    which = ((np.arange(q) == best // N) | (np.arange(q) == best % N)) & decisive[..., None]
     found, P = sums.estimated(which)
     x = estimate.x - (now.eta @ found[..., None])[..., 0]
     P = estimate.P + now.eta @ P @ np.swapaxes(now.eta, -1, -2)
@@ -203,16 +202,15 @@ class Sums(NamedTuple):
         return np.asarray(np.sum(a * np.linalg.solve(scaled, a[..., None])[..., 0], axis=-1) - np.linalg.slogdet(scaled)[1])
 
     def of_two(self) -> Array:
-        """The evidence of each two causes (..., q, q), on the diagonal of each alone; -inf of causes that no reading shows."""
-        shown = np.einsum("...ii->...i", self.A) > 0
+        """The evidence of each two causes (..., q, q); -inf on the diagonal."""
         a, A = self.a * self.size, self.A * self.size[:, None] * self.size
         d = np.einsum("...ii->...i", A) + 1
         det = d[..., None] * d[..., None, :] - A**2
         square = a[..., None] ** 2 * d[..., None, :]
-        both = (square + np.swapaxes(square, -1, -2) - 2 * A * a[..., None] * a[..., None, :]) / det - np.log(det)
-        one = (a**2 / d - np.log(d))[..., None, :]
-        found = np.where(np.eye(self.size.size, dtype=bool), one, both)
-        return np.where(shown[..., None] & shown[..., None, :], found, -np.inf)
+        found = square + np.swapaxes(square, -1, -2) - 2 * A * a[..., None] * a[..., None, :]
+        same = np.eye(self.size.size, dtype=bool)
+        det = np.where(same, 1.0, det)
+        return np.where(same, -np.inf, found / det - np.log(det))
 
     def replaced(self, isolated: Array, biases: int, where: Array, margin: float) -> Array:
         """Whether one jump in the place of each bias (..., biases) explains as much, but for the margin, as all `isolated`; of

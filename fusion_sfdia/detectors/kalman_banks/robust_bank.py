@@ -15,7 +15,8 @@ The central filter estimates what the plant declares as unknown (`plant.augment`
 - Where something is uncertain, the first `START` samples give no verdict.
 - Otherwise an alarm is undecided, and its suspects are reported.
 - A sensor whose readings are too quiet is isolated, too (`quiet`).
-- While a verdict stands a second filter looks at it again: it readmits sensors or raises doubt (`fresh_look`).
+- While a verdict stands a second filter looks at it again: it readmits sensors, raises doubt, or finds that two sensors failed
+  where one change of the process was named (`fresh_look`).
 """
 
 from __future__ import annotations
@@ -404,16 +405,16 @@ class RobustBank(ExcludingBank):
     def _with_look(
         self, before: RobustMemory, now: RobustMemory, at: TimeStep, y: Array, u: Array, quiet: Array
     ) -> RobustMemory:
-        """A fresh look while a verdict stands: it raises doubt, readmits sensors that are left out, as they are right, or leaves
-        out those that failed in place of the process.
+        """A fresh look while a verdict stands: it raises doubt, readmits sensors that are left out, as they are right, or
+        leaves out those that failed in place of the process.
 
         It begins with each verdict, with one on the process alone at what was known `before` the step. quiet (..., N): sensors
         whose readings it does not use.
         """
         of, look = self._hypotheses, now.look
-        process = (now.standing.accepted & ~before.standing.accepted).any(axis=-1)
-        alone = ~now.exclusion.out.any(axis=-1)
-        anew = (now.exclusion.out & ~before.exclusion.out).any(axis=-1) | (process & ~alone)
+        process = np.any(now.standing.accepted & ~before.standing.accepted, axis=-1)
+        alone = np.asarray(~now.exclusion.out.any(axis=-1))
+        anew = np.asarray(np.any(now.exclusion.out & ~before.exclusion.out, axis=-1) | (process & ~alone))
         look = begun(look, before.estimate, process & alone & ~before.standing.accepted.any(axis=-1), first=True)
         if (look.samples > 0).any():
             prior = self._predict(look.estimate, now.standing, now.walk, at, u)

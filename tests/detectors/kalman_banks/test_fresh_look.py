@@ -7,6 +7,7 @@ import pytest
 
 from fusion_sfdia.common.random_streams import stream
 from fusion_sfdia.detectors import registry
+from fusion_sfdia.detectors.detector import run
 from fusion_sfdia.detectors.kalman_banks import fresh_look
 from fusion_sfdia.detectors.kalman_banks.excluding_bank import least_change
 from fusion_sfdia.detectors.kalman_banks.fresh_look import (
@@ -15,6 +16,7 @@ from fusion_sfdia.detectors.kalman_banks.fresh_look import (
     Sums,
     answered,
     begun,
+    failed_instead,
     no_look,
     remembered,
     with_sample,
@@ -23,7 +25,7 @@ from fusion_sfdia.detectors.kalman_banks.leave_one_out import statistics
 from fusion_sfdia.filters.estimators import GaussianState
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.study.audit import outcomes
-from fusion_sfdia.study.error_protocol import CASES
+from fusion_sfdia.study.error_protocol import CASES, trial
 
 N, P = 3, 1  # sensors, unknowns; the state is (x, unknown)
 F = np.array([[0.9, 0.3], [0.0, 1.0]])
@@ -63,7 +65,7 @@ def test_causes_are_estimated_as_by_a_filter_that_has_them_as_states() -> None:
     y = simulated(np.array([1.5, 0.0, 0.0]), 0.3, 25)
     y[7, 1] = np.nan
     look = looked(y)
-    causes, sd = Sums(look.a, look.A, SIZE).estimated(np.array([[True, False, True, True]]))
+    causes, covariance = Sums(look.a, look.A, SIZE).estimated(np.array([[True, False, True, True]]))
     # augmented: x, unknown, bias of 1, bias of 3, jump of the unknown before the first step
     f, h = np.eye(5), np.hstack([H, np.eye(N)[:, [0, 2]], np.zeros((N, 1))])
     f[:2, :2] = F
@@ -79,10 +81,10 @@ def test_causes_are_estimated_as_by_a_filter_that_has_them_as_states() -> None:
         gain = np.linalg.solve(h[seen] @ p @ h[seen].T + R[np.ix_(seen, seen)], h[seen] @ p).T
         x, p = x + gain @ (row[seen] - h[seen] @ x), p - gain @ h[seen] @ p
     np.testing.assert_allclose(causes[0, [0, 2]], x[2:4], rtol=1e-8)
-    np.testing.assert_allclose(sd[0, [0, 2]], np.sqrt(np.diag(p)[2:4]), rtol=1e-8)
+    np.testing.assert_allclose(covariance[0][np.ix_([0, 2], [0, 2])], p[2:4, 2:4], rtol=1e-8)
     np.testing.assert_allclose(causes[0, 3], x[4], rtol=1e-8)
     assert causes[0, 1] == 0
-    assert sd[0, 1] == np.inf
+    assert not covariance[0, 1].any()
 
 
 def test_evidence_is_that_of_the_marginal_likelihood() -> None:
@@ -92,6 +94,48 @@ def test_evidence_is_that_of_the_marginal_likelihood() -> None:
     a, b, s = look.a[0, 1], look.A[0, 1, 1], SIZE[1]
     np.testing.assert_allclose(sums.evidence(one)[0], a**2 * s**2 / (1 + b * s**2) - np.log1p(b * s**2), rtol=1e-10)
     assert sums.evidence(np.zeros((1, 4), bool))[0] == 0
+
+
+def test_evidence_of_two_causes_is_that_of_both_together() -> None:
+    look = looked(simulated(np.array([0.0, 2.0, 1.0]), 0.0, 20))
+    sums = Sums(look.a, look.A, SIZE)
+    every = np.eye(4, dtype=bool)
+    expected = sums._replace(a=look.a[:, None, None], A=look.A[:, None, None]).evidence(every[:, None] | every)
+    np.testing.assert_allclose(sums.of_two(), np.where(every, -np.inf, expected), rtol=1e-9)
+
+
+def shown_to_have_failed(bias: np.ndarray, jump: float) -> tuple[np.ndarray, np.ndarray, GaussianState]:
+    """What a first look at as many readings as it needs finds to have failed where the process has been named."""
+    look = looked(simulated(bias, jump, fresh_look.ENOUGH))._replace(first=np.array([True]))
+    return failed_instead(look, SIZE, np.ones(1), np.array([True]))
+
+
+@pytest.mark.parametrize("bias", [[3.0, -3.0, 0.0], [0.0, 2.0, 2.0]])
+def test_sensors_that_fail_together_are_no_change_of_the_process(bias: list[float]) -> None:
+    """The estimate is that of a filter with the biases as states."""
+    failed, found, estimate = shown_to_have_failed(np.array(bias), 0.0)
+    assert failed.tolist() == [[b != 0 for b in bias]]
+    which = np.flatnonzero(bias)
+    n, k = 2, which.size
+    wide, seen = np.eye(n + k), np.hstack([H, np.eye(N)[:, which]])
+    wide[:n, :n] = F
+    z, P_ = np.zeros(n + k), np.diag([1.0, 0.25, *SIZE[which] ** 2])
+    for y in simulated(np.array(bias), 0.0, fresh_look.ENOUGH):
+        z, P_ = wide @ z, wide @ P_ @ wide.T
+        P_[:n, :n] += Q
+        S = seen @ P_ @ seen.T + R
+        K = np.linalg.solve(S, seen @ P_).T
+        z, P_ = z + K @ (y - seen @ z), P_ - K @ S @ K.T
+    np.testing.assert_allclose(found[0, which], z[n:], rtol=1e-8)
+    np.testing.assert_allclose(estimate.x[0], z[:n], rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(estimate.P[0], P_[:n, :n], rtol=1e-8, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("bias", "jump"), [([0.0, 0.0, 0.0], 4.0), ([0.0, 3.0, 0.0], 4.0), ([0.0, 3.0, 0.0], 0.0), ([0.0, 0.0, 0.0], 0.0)]
+)
+def test_no_two_sensors_are_blamed_where_one_cause_may_be_a_jump(bias: list[float], jump: float) -> None:
+    assert not shown_to_have_failed(np.array(bias), jump)[0].any()
 
 
 def question(out: list[bool], fault: list[float]) -> Question:
@@ -194,3 +238,17 @@ def test_sensors_are_used_again_after_a_fault_beside_a_change_of_the_process(mon
     without, rows_without = latched()
     assert at_end <= without / 2
     assert rows <= 0.7 * rows_without
+
+
+@pytest.mark.parametrize("seed", [773_012, 773_018])
+def test_two_sensors_that_fail_in_the_same_row_are_named_after_the_process_was(seed: int) -> None:
+    plant = registry.plant("two-tanks")
+    made = trial(plant, next(c for c in CASES if c.name == "two-biases"), seed)
+    detector = registry.detector("robust-glr", plant)
+    _, found = run(detector, detector.init(), made.log.t, made.log.y, made.log.u)
+    rows = np.flatnonzero(made.faulty.any(axis=-1))
+    assert found.process[rows].any()  # at first
+    late = rows[rows > np.flatnonzero(found.process.any(axis=-1))[0] + fresh_look.ENOUGH]
+    assert np.mean((found.isolated == made.faulty)[late].all(axis=-1)) > 0.95
+    assert not found.process[late].any()
+    assert not found.isolated[-1].any()
