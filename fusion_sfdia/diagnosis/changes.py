@@ -190,8 +190,8 @@ class Changes:
         return found
 
     def followed(self, found: list[Change]) -> list[Change]:
-        """The changes, events of sensors that are over with their `follow_ups`, as far as they are known."""
-        over = [c.event is not None and c.event.kind == "sensor" and not c.event.open for c in found]
+        """The changes, events that are over with their `follow_ups`, as far as they are known."""
+        over = [c.event is not None and not c.event.open for c in found]
         if not any(over) or not self.recent:
             return found
         times, decisions = zip(*self.recent, strict=True)

@@ -28,6 +28,7 @@ from fusion_sfdia.diagnosis.events import (
     events_of,
     follow_ups,
     open_questions,
+    sensors_instead,
     spans,
     throughout,
     verdict,
@@ -184,9 +185,15 @@ class Diagnosis:
 
     @cached_property
     def passing(self) -> list[Event]:
-        """The alarms that were decided, or ended, before they said anything: no part of the verdict."""
+        """The alarms that were decided, or ended, before they said anything, and changes of the process in whose place sensors
+        were named: no part of the verdict.
+        """
         stand = set(map(id, open_questions(self.events, self.t)))
-        return [e for e in self.events if isinstance(e, UndecidedEvent) and id(e) not in stand]
+
+        def passes(e: Event) -> bool:
+            return id(e) not in stand if isinstance(e, UndecidedEvent) else bool(sensors_instead(e, self.events, self.t))
+
+        return [e for e in self.events if passes(e)]
 
     def sentence(self, event: Event) -> str:
         """An event in a sentence for people, and what to do, see `sentences`.
@@ -201,7 +208,7 @@ class Diagnosis:
         str
             With the times of `clock`.
         """
-        after = () if event.open or event.kind != "sensor" else follow_ups(event, self.events, self.t)
+        after = () if event.open else follow_ups(event, self.events, self.t)
         return sentence(event, self.words, self.clock, ended=self._seen_to_end(event), after=after)
 
     def _seen_to_end(self, event: Event) -> bool:
@@ -214,7 +221,7 @@ class Diagnosis:
     def is_explained_by_the_process(self) -> bool:
         """Whether readings do not fit the model, and a change of the process was found, which may be why."""
         suspect = self.health is not None and self.health.suspect
-        return suspect and any(kind_of(e).verdict is Verdict.PROCESS for e in self.events)
+        return suspect and any(kind_of(e).verdict is Verdict.PROCESS for e in self.standing)
 
     @property
     def caution(self) -> str:

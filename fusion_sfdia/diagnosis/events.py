@@ -20,6 +20,7 @@ Array = NDArray[Any]
 MOST_NAMES = 4  # in a sentence
 LASTING = 3  # samples
 TOGETHER = 20  # samples: findings less far apart may be of one fault, as spikes and noise raise many
+REPLACED = 2  # samples
 CERTAIN = 0.95  # a confidence below is stated
 NO_FAULT = "no fault"
 EVEN = 0.5  # a confidence below which it is rather something else
@@ -351,7 +352,7 @@ def verdict(events: Sequence[Event], t: Array) -> str:
     for kind, word in (("sensor", "sensor"), ("other", "fault")):
         if named := [e.hypothesis for e in likely if e.kind == kind]:
             parts.append(f"{word}{'s' * (len(set(named)) > 1)} {listed(named)}")
-    if process := [e.hypothesis for e in events if e.kind == "process"]:
+    if process := [e.hypothesis for e in events if e.kind == "process" and not sensors_instead(e, events, t)]:
         parts.append(f"process or model: {listed(process)}")
     if outside := [e.hypothesis for e in events if e.kind == "outside"]:
         parts.append(f"outside what was learnt: {listed(outside)}")
@@ -385,13 +386,30 @@ def open_questions(events: Sequence[Event], t: Array) -> list[UndecidedEvent]:
     return found
 
 
+def sensors_instead(e: Event, events: Iterable[Event], t: Array) -> tuple[Event, ...]:
+    """The sensors that were named in the place of an event of the process; none where it was not taken back.
+
+    Two faults that begin together may look at first as one change of the process. A detector that sees later that they are two
+    names both sensors when it withdraws the change, at most `REPLACED` samples after its end.
+    """
+    if e.kind != "process" or e.open:
+        return ()
+    last = int(np.searchsorted(t, e.end))
+    reach = float(t[min(last + REPLACED, len(t) - 1)])
+    found = tuple(o for o in events if o.kind == "sensor" and e.end < o.start <= reach)
+    return found if len({o.hypothesis for o in found}) > 1 else ()
+
+
 def follow_ups(e: Event, events: Iterable[Event], t: Array) -> tuple[Event, ...]:
     """The findings after an event of a sensor that may be the same fault under another name, in order of their start.
 
     These are those of which it is a suspect or an alternative, those of the process or of operation, and the next event of the
     sensor itself, which is the last: findings that last longer than the event, and begin at most TOGETHER samples after it, or
-    after such a finding, or after one that is undecided between others. Without any, the fault is over.
+    after such a finding, or after one that is undecided between others. Without any, the fault is over. Of an event of the
+    process: `sensors_instead`.
     """
+    if e.kind != "sensor":
+        return sensors_instead(e, events, t)
 
     def until(end: float) -> float:
         return float(t[min(int(np.searchsorted(t, end)) + TOGETHER, len(t) - 1)])

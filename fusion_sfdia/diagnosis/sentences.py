@@ -145,7 +145,8 @@ def sentence(e: Event, words: Words, clock: Clock, *, ended: bool = True, after:
     if isinstance(e, UndecidedEvent):
         return _undecided(e, words, when)
     if isinstance(e, ProcessEvent):
-        return _process(e, words.get(e.hypothesis) or Wording("parameter", e.hypothesis), when)
+        w = words.get(e.hypothesis) or Wording("parameter", e.hypothesis)
+        return _taken_back(w, words, when, after) if after else _process(e, w, when)
     if isinstance(e, UnnamedEvent):
         fit = "has not fitted" if e.open else "did not fit"
         return (
@@ -257,6 +258,12 @@ def _follow_up(o: Event, sensor: str, words: Words, clock: Clock) -> str:
         return f"{when} {w} {'has been' if open_ else 'was'} taken to be at fault"
     cause = {"input": "an error of ", "parameter": "a change of "}.get(w.part, "")
     return f"{when} {cause}{w} {'has explained' if open_ else 'explained'} the readings"
+
+
+def _taken_back(w: Wording, words: Words, when: str, instead: Sequence[Event]) -> str:
+    """A change of the process in whose place sensors were named."""
+    names = dict.fromkeys(str(words.get(o.hypothesis) or o.hypothesis) for o in instead)
+    return f"{_first(str(w))} seemed to be the cause {when}; faults of {' and '.join(names)} explain the readings better."
 
 
 def _process(e: ProcessEvent, w: Wording, when: str) -> str:

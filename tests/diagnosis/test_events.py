@@ -22,6 +22,7 @@ from fusion_sfdia.diagnosis.events import (
     events_of,
     follow_ups,
     listed,
+    sensors_instead,
     spans,
     verdict,
     with_spread,
@@ -214,6 +215,18 @@ def test_of_many_names_the_first_are_listed() -> None:
 )
 def test_spans(held: str, gap: int, expected: list[tuple[int, int]]) -> None:
     assert spans(np.array([c == "#" for c in held], dtype=bool), gap) == expected
+
+
+def test_a_change_of_the_process_is_taken_back_where_two_sensors_are_named_in_its_place() -> None:
+    t = np.arange(100.0)
+    leak = ProcessEvent("leak", 10.0, 25.0, 1.0, "m3/s", False, 0.1, 0.0)
+    l2, q2 = (Event(name, 27.0, 60.0, 1.0, "m", False) for name in ("l2", "q2"))
+    assert sensors_instead(leak, [leak, l2, q2], t) == (l2, q2) == follow_ups(leak, [leak, l2, q2], t)
+    assert verdict([leak, l2, q2], t) == "sensors l2, q2"
+    for others in ([l2], [l2, replace(l2, size=2.0)], [l2, replace(q2, start=28.0)], [l2, replace(q2, start=25.0)]):
+        assert not sensors_instead(leak, [leak, *others], t)
+        assert "leak" in verdict([leak, *others], t)
+    assert not sensors_instead(replace(leak, open=True), [l2, q2], t)
 
 
 def test_a_fault_is_over_if_nothing_that_may_be_it_follows() -> None:

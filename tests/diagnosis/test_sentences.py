@@ -130,6 +130,15 @@ def test_the_process_is_described_by_what_differs() -> None:
     assert text.startswith("Something that the model leaves out has lowered the tank since") and "equation" not in text
 
 
+def test_a_change_of_the_process_in_whose_place_sensors_were_named_is_said_to_have_seemed_so() -> None:
+    instead = (TT04, replace(TT04, hypothesis="l1"))
+    text = (
+        "seemed to be the cause from 2026-03-01 02:07 to 03:59; faults of mixed-air temperature TT04 and sensor l1 explain the"
+    )
+    assert sentence(replace(OUTLET, open=False), WORDS, NIGHT, after=instead) == f"Outlet {text} readings better."
+    assert sentence(INFLOW, WORDS, NIGHT, after=instead) == f"The recorded flow of the pump {text} readings better."
+
+
 @pytest.mark.parametrize(
     "impossible",
     [
