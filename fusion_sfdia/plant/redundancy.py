@@ -82,11 +82,14 @@ def require_max_faults(plant: Plant, given: int | None) -> None:
 
 def _seen(F: Array, H: Array) -> list[tuple[int, Array]]:
     """Of each lasting mode of F the state with its largest part, and in which sensors (N,), the rows of H, it is observable."""
-    found, lasting = [], [v for v in np.linalg.eigvals(F) if abs(v) > np.exp(-1 / LASTING) and v.imag >= 0]
-    for k, value in enumerate(lasting):
-        if any(abs(value - other) <= NEGLIGIBLE for other in lasting[:k]):
+    values, vectors = np.linalg.eig(F)
+    found, lasts = [], (np.abs(values) > np.exp(-1 / LASTING)) & (values.imag >= 0)
+    for k in np.flatnonzero(lasts):
+        alike = np.abs(values - values[k]) <= NEGLIGIBLE
+        if np.any(alike[:k] & lasts[:k]):
             continue  # its modes have been counted
-        modes = null_space(F - value * np.eye(len(F)), rcond=NEGLIGIBLE)
+        single = np.sum(alike) == 1
+        modes = vectors[:, [k]] if single else null_space(F - values[k] * np.eye(len(F)), rcond=NEGLIGIBLE)
         shown = H @ modes
         _, _, order = qr(shown.T, mode="economic", pivoting=True)
         pivot = shown[order[: shown.shape[1]]]

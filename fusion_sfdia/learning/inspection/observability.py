@@ -3,6 +3,9 @@
 With F and H of each step along the operation, the readings of K samples depend on the initial state by the rows R^-1/2 H Phi,
 Phi the product of F so far (observability matrix; Kalman 1960), here in units of D = diag(state_scale). A singular value s
 means that the readings know that combination of states to 1/s of its scale; below rounding of the largest they do not.
+
+Of the decomposition U S V' of these rows, U has a block of rows U_i of each sensor. A direction z = V S^-1 w with |w| = 1 that
+no other sensor shows has |U_i w| = 1: the singular vectors of U_i with that value are all that the sensor alone may show.
 """
 
 from __future__ import annotations
@@ -20,8 +23,10 @@ from fusion_sfdia.plant.redundancy import Redundancy, redundancy
 Array = NDArray[Any]
 
 SAMPLES = 60
+MOST_ROWS = 20_000  # of all samples, of many sensors, but twice as many as there are states
+ALONE = 1 - 1e-8  # square of a singular value of U_i, above which a direction may be the sensor's alone
 EARLY, FORGOTTEN = 3, 0.01  # samples after which so little is left of what the model forgets at once
-PART = 0.3  # of the largest entry of a direction: a state with more belongs to it
+PART = 0.3  # of the largest part that a state has in some directions: a state with more belongs to them
 
 
 class Observability(NamedTuple):
@@ -40,9 +45,10 @@ class Observability(NamedTuple):
     redundancy: Redundancy
 
 
-def observability(plant: Plant, samples: int = SAMPLES) -> Observability:
+def observability(plant: Plant) -> Observability:
     """The observability of the states from all sensors, and from all but one."""
-    scale, n = plant.state_scale, len(plant.states)
+    scale, n, N = plant.state_scale, len(plant.states), len(plant.sensors)
+    samples = max(min(SAMPLES, MOST_ROWS // N), -(-2 * n // N), EARLY)
     x, Phi, rows = plant.x0, np.eye(n), []
     early = Phi
     for k in range(samples):
@@ -53,33 +59,40 @@ def observability(plant: Plant, samples: int = SAMPLES) -> Observability:
         early = Phi if k < EARLY else early
         rows.append(plant.output_jacobian_at(t + plant.dt, x, u) * scale / plant.sensor_sigma[:, None] @ Phi)
     each = np.stack(rows, axis=1)  # (N, K, n)
-    compact = np.asarray(np.linalg.qr(each, mode="r"))  # (N, min(K, n), n)
-    values, directions = _singular(compact)
-    least = np.finfo(float).eps * samples * max(len(compact), n) * values[0]
+    if samples > n:
+        each = np.asarray(np.linalg.qr(each, mode="r"))  # (N, n, n)
+    flat = each.reshape(-1, n)
+    more = np.zeros((max(n - len(flat), 0), n))  # for as many directions as states
+    U, values, directions = np.linalg.svd(np.concatenate([flat, more]), full_matrices=False)
+    least = np.finfo(float).eps * samples * max(N, n) * values[0]
     rank = int(np.sum(values > least))
     unseen = directions[rank:][np.linalg.norm(directions[rank:] @ early.T, axis=-1) > FORGOTTEN]
+    of_each = U[: len(flat), :rank].reshape(N, -1, rank)
     needed = []
     for i, name in enumerate(plant.sensor_names):
-        kept, lost = _singular(np.delete(compact, i, axis=0))
-        if (left := int(np.sum(kept > least))) < rank:
-            needed.append((name, _named(plant, lost[left:rank])))
+        alone = _alone(of_each, i, values[:rank], least)
+        if len(alone):
+            needed.append((name, _named(plant, alone @ directions[:rank])))
     condition = float(values[0] / values[rank - 1]) if rank else np.inf
     return Observability(n - len(unseen), n, samples, condition, _named(plant, unseen), tuple(needed), redundancy(plant))
 
 
-def _singular(rows: Array) -> tuple[Array, Array]:
-    """Singular values (n,), zeros where rows are fewer, and the directions (n, n) as rows."""
-    n = rows.shape[-1]
-    flat = np.concatenate([rows.reshape(-1, n), np.zeros((n, n))])
-    _, values, directions = np.linalg.svd(flat, full_matrices=False)
-    return values, directions
+def _alone(U: Array, i: int, values: Array, least: float) -> Array:
+    """The directions (.., r) that sensor i alone shows, along the r singular vectors of all; U (N, k, r)."""
+    if np.sum(U[i] ** 2) < ALONE:
+        return np.zeros((0, len(values)))
+    _, shown, w = np.linalg.svd(U[i], full_matrices=False)
+    w = w[shown**2 >= ALONE]
+    others = np.delete(U, i, axis=0).reshape(-1, len(values))
+    z = w / values
+    return np.asarray(z[np.linalg.norm(others @ w.T, axis=0) <= least * np.linalg.norm(z, axis=-1)])
 
 
 def _named(plant: Plant, directions: Array) -> tuple[str, ...]:
-    """The states that have a large part in some of the directions."""
-    size = np.abs(directions)
-    large = np.any(size > PART * np.max(size, axis=-1, initial=0.0, keepdims=True), axis=0) if len(size) else []
-    return tuple(plant.states[i].name for i in np.flatnonzero(large))
+    """The states that have a large part in what some directions (.., n) span."""
+    basis = np.linalg.qr(directions.T)[0]
+    size = np.linalg.norm(basis, axis=-1)
+    return tuple(plant.states[i].name for i in np.flatnonzero(size > PART * np.max(size, initial=0.0)))
 
 
 def of_readings(plant: Plant, found: Observability) -> Iterator[PlantFinding]:
