@@ -83,9 +83,12 @@ def _alone(U: Array, i: int, values: Array, least: float) -> Array:
         return np.zeros((0, len(values)))
     _, shown, w = np.linalg.svd(U[i], full_matrices=False)
     w = w[shown**2 >= ALONE]
-    others = np.delete(U, i, axis=0).reshape(-1, len(values))
+    if not len(w):
+        return w
+    by_each = U @ w.T  # (N, k, ..)
+    by_each[i] = 0.0
     z = w / values
-    return np.asarray(z[np.linalg.norm(others @ w.T, axis=0) <= least * np.linalg.norm(z, axis=-1)])
+    return np.asarray(z[np.linalg.norm(by_each, axis=(0, 1)) <= least * np.linalg.norm(z, axis=-1)])
 
 
 def _named(plant: Plant, directions: Array) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from fusion_sfdia.common.rate import lasting
 from fusion_sfdia.detectors import registry
-from fusion_sfdia.detectors.kalman_banks.steady_gains import LARGE, SETTLED, can_rest, most_kept
+from fusion_sfdia.detectors.kalman_banks.steady_gains import LARGE, can_rest, most_kept
 from fusion_sfdia.detectors.state import leaves
 from fusion_sfdia.learning.inspection.plant_findings import REMARK, PlantFinding
 from fusion_sfdia.plant.log import Log
@@ -20,6 +20,8 @@ PATIENCE = 60.0  # s, from which on a user wants to know before
 DAY = 86400.0  # s
 AREAS = 1000  # states from which on matrices of all of them are too large for any change of readings
 TIMES = 2
+KEPT = 40  # bytes that a diagnosis keeps of a row, for each state and each sensor
+AT_REST = 15.0  # over the number of states: of the time of a row what one takes whose gains rest (chains of 200 to 1000)
 
 
 class Waiting(NamedTuple):
@@ -48,28 +50,34 @@ def waiting(plant: Plant, log: Log | None = None, clock: Callable[[], float] = p
 
 def of_waiting(plant: Plant, found: Waiting | None) -> Iterator[PlantFinding]:
     """That a diagnosis will take long, or that a stream cannot keep up, and what makes it faster."""
-    if found is None or (found.row * found.rows < PATIENCE and found.row < plant.dt / 2):
+    if found is None:
+        return
+    n, rests = len(plant.states), can_rest(plant)
+    usual = found.row * min(AT_REST / n, 1.0) if rests else found.row
+    if usual * found.rows < PATIENCE and found.row < plant.dt / 2:
         return
     rows = f"the {found.rows} rows of this log" if found.of_log else f"{found.rows} rows, a day,"
-    late = "" if found.row < plant.dt / 2 else f"; a stream with a row every {plant.dt:g} s cannot keep up"
-    yield PlantFinding(
-        REMARK,
-        "time",
-        f"{rows} take up to {_time(found.row * found.rows)} with {registry.DEFAULT_DETECTOR}, at {_time(found.row)} a row with "
-        f"{len(plant.states)} states and {len(plant.sensors)} sensors, and {_size(found.memory)} for its state{late}; "
-        f"{_faster(plant)}",
-    )
+    behind = "cannot keep up" if usual >= plant.dt / 2 else "falls behind then"
+    late = "" if found.row < plant.dt / 2 else f"; a stream with a row every {plant.dt:g} s {behind}"
+    size = f"{n} states and {len(plant.sensors)} sensors"
+    if rests:
+        text = (
+            f"{rows} take some {_time(usual * found.rows)} with {registry.DEFAULT_DETECTOR} and {size}, at {_time(usual)} a "
+            f"row while its gains rest, as the model is linear, and {_time(found.row)} a row before, at the start and when a "
+            f"sensor drops out, is isolated or is used again{late}; its state takes {_size(found.memory)}, gains up to "
+            f"{_size(int(most_kept(n)))}, what it decides {_size(found.rows * KEPT * (n + len(plant.sensors)))}"
+        )
+    else:
+        text = (
+            f"{rows} take up to {_time(found.row * found.rows)} with {registry.DEFAULT_DETECTOR}, at {_time(found.row)} a row "
+            f"with {size}, and {_size(found.memory)} for its state{late}; {_faster(plant)}"
+        )
+    yield PlantFinding(REMARK, "time", text)
 
 
 def _faster(plant: Plant) -> str:
     """What makes a diagnosis faster."""
     n = len(plant.states)
-    if can_rest(plant):
-        return (
-            f"they take less once the same sensors have been read for {SETTLED} rows and more, as the model is linear and its "
-            "gains come to rest; gains are computed again whenever a sensor drops out or is isolated, and those that are kept "
-            f"take up to {_size(int(most_kept(n)))}"
-        )
     if n + len(plant.sensors) >= LARGE and _is_linear(plant):
         return (
             "step and output are linear, but the plant does not say so: state numerics.step_jacobian and "

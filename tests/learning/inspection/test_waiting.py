@@ -47,9 +47,14 @@ def test_nobody_waits_for_a_short_log_and_a_stream_that_keeps_up() -> None:
         ),
         (tanks(), Waiting(0.1, 10_000, 36_000, True), "`loo-chi2` takes less"),
         (tanks(), Waiting(3.0, 10_000, 100, False), f"every {tanks().dt:g} s cannot keep up"),
-        (chain(4), Waiting(1.0, 3_000_000, 86400, False), "86400 rows, a day, take up to 24 hours"),
-        (chain(4), Waiting(1.0, 3_000_000, 86400, False), "its gains come to rest"),
-        (chain(4), Waiting(1.0, 3_000_000, 86400, False), "3 MB for its state"),
+        (chain(4), Waiting(1.0, 3_000_000, 86400, False), "86400 rows, a day, take some 24 hours"),
+        (chain(30), Waiting(1.0, 3_000_000, 86400, False), "86400 rows, a day, take some 12 hours"),
+        (
+            chain(30),
+            Waiting(1.0, 3_000_000, 86400, False),
+            "at 500 ms a row while its gains rest, as the model is linear, and 1 s",
+        ),
+        (chain(30), Waiting(1.0, 3_000_000, 86400, False), "its state takes 3 MB"),
         (
             undeclared(chain(4)),
             Waiting(1.0, 3_000_000, 86400, False),
