@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import probability
 from fusion_sfdia.learning.commissioning.disturbances import WINDOW, FoundDisturbance, learnt, windows
-from fusion_sfdia.learning.commissioning.innovations import settling
 from fusion_sfdia.learning.commissioning.learnt_slow_noise import with_slow_noise
 from fusion_sfdia.learning.commissioning.noise_likelihood import (
     Noise,
@@ -39,6 +38,7 @@ from fusion_sfdia.learning.commissioning.refusals import (
 )
 from fusion_sfdia.learning.commissioning.score import FilterScore, coloured, fitted
 from fusion_sfdia.learning.commissioning.start import Start, first_error, first_state, with_start
+from fusion_sfdia.learning.innovations import settling
 from fusion_sfdia.logs.log_forms import as_log
 from fusion_sfdia.plant.augment import fixed
 from fusion_sfdia.plant.log import Log

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.common.covariance import diagonal
 from fusion_sfdia.learning.commissioning.corrections import ConstantCorrection, with_offset
-from fusion_sfdia.learning.commissioning.innovations import InnovationStep, filtered, until
+from fusion_sfdia.learning.innovations import InnovationStep, filtered, until
 from fusion_sfdia.plant.augment import fixed
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.learning.commissioning.innovations import InnovationStep, filtered, until
+from fusion_sfdia.learning.innovations import InnovationStep, filtered, until
 from fusion_sfdia.plant.augment import fixed
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant

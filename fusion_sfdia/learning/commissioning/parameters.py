@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from fusion_sfdia.learning.commissioning.corrections import ConstantCorrection, at_values, with_offset
-from fusion_sfdia.learning.commissioning.innovations import filtered, held, until
+from fusion_sfdia.learning.innovations import filtered, held, until
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.uncertainty import error_of

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from fusion_sfdia.filters.gaussian import dense
-from fusion_sfdia.learning.commissioning.innovations import filtered
+from fusion_sfdia.learning.innovations import filtered
 from fusion_sfdia.plant.augment import fixed
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant

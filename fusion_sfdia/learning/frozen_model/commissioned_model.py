@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from fusion_sfdia.filters.gaussian import half_inverse
-from fusion_sfdia.learning.commissioning.innovations import settling
 from fusion_sfdia.learning.commissioning.parameters import declared
 from fusion_sfdia.learning.frozen_model.frozen_filter import FrozenFilter
 from fusion_sfdia.learning.frozen_model.window_means import KNOWN, WINDOWS, Spread, enough, explained
+from fusion_sfdia.learning.innovations import settling
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.regularity import equal_readings

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.detectors.detector import ProcessHypothesis
 from fusion_sfdia.filters.estimators import Extended, GaussianState, step_stream
-from fusion_sfdia.learning.commissioning.innovations import held, updated
+from fusion_sfdia.learning.innovations import held, updated
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.uncertainty import error_of
 

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from fusion_sfdia.learning.commissioning.innovations import filtered, held
 from fusion_sfdia.learning.commissioning.parameters import declared, free
+from fusion_sfdia.learning.innovations import filtered, held
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.uncertainty import HOUR

@@ -10,8 +10,8 @@ from rounding import rounding
 from toy_plants import chain, readings
 
 from fusion_sfdia.detectors.kalman_banks.hypotheses import Hypotheses
-from fusion_sfdia.learning.commissioning.innovations import filtered
 from fusion_sfdia.learning.commissioning.parameters import estimated, moved
+from fusion_sfdia.learning.innovations import filtered
 from fusion_sfdia.plant.augment import augment
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from toy_plants import tanks
 
 from fusion_sfdia.diagnosis.simulate import simulate
-from fusion_sfdia.learning.commissioning.innovations import filtered, held
 from fusion_sfdia.learning.frozen_model.frozen_filter import FRESH, FrozenFilter, FrozenRow, Tracked
+from fusion_sfdia.learning.innovations import filtered, held
 from fusion_sfdia.plant.log import Log
 
 Array = NDArray[Any]
