@@ -22,7 +22,7 @@ from fusion_sfdia.benchmarks.chemical.support.recordings import (
 from fusion_sfdia.benchmarks.chemical.support.tasks import SIGMAS, once, require_measurements, task_for_each
 from fusion_sfdia.benchmarks.chemical.support.trials import JUDGED, LEARNT_RATE, ONSETS, WARM_UP, cases, trial
 from fusion_sfdia.common.run_statistics import rate_over_runs
-from fusion_sfdia.learning.identification.whiteness import whiteness
+from fusion_sfdia.learning.innovations import whiteness
 from fusion_sfdia.report.content import Figure, ResultTable, Summary
 from fusion_sfdia.report.plots import Bars, bars, legend_above, panels
 from fusion_sfdia.report.results import Row, row_of

@@ -9,8 +9,8 @@ from fusion_sfdia.learning.identification.choice import ModelChoice as ModelChoi
 from fusion_sfdia.learning.identification.choice import choose_model as choose_model
 from fusion_sfdia.learning.identification.identify import identify as identify
 from fusion_sfdia.learning.identification.recording import without_repeats as without_repeats
-from fusion_sfdia.learning.identification.whiteness import WhitenessTest as WhitenessTest
-from fusion_sfdia.learning.identification.whiteness import whiteness as whiteness
+from fusion_sfdia.learning.innovations import WhitenessTest as WhitenessTest
+from fusion_sfdia.learning.innovations import whiteness as whiteness
 from fusion_sfdia.learning.inspection.inspection import Inspection as Inspection
 from fusion_sfdia.learning.outlier_detectors.calibration import Calibration as Calibration
 from fusion_sfdia.learning.outlier_detectors.calibration import calibrate as calibrate

@@ -36,9 +36,8 @@ from fusion_sfdia.learning.commissioning.refusals import (
     require_no_sensor,
     require_readings,
 )
-from fusion_sfdia.learning.commissioning.score import FilterScore, coloured, fitted
 from fusion_sfdia.learning.commissioning.start import Start, first_error, first_state, with_start
-from fusion_sfdia.learning.innovations import settling
+from fusion_sfdia.learning.innovations import FilterScore, coloured, fitted, settling
 from fusion_sfdia.logs.log_forms import as_log
 from fusion_sfdia.plant.augment import fixed
 from fusion_sfdia.plant.log import Log

@@ -11,7 +11,7 @@ import numpy as np
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.diagnosis.diagnose import SECONDS
 from fusion_sfdia.diagnosis.prepared import prepared
-from fusion_sfdia.learning.identification.whiteness import WhitenessTest, whiteness
+from fusion_sfdia.learning.innovations import WhitenessTest, whiteness
 from fusion_sfdia.learning.inspection.plant_findings import REMARK, PlantFinding
 from fusion_sfdia.logs.loaded_log import LoadedLog
 from fusion_sfdia.plant.augment import fixed

@@ -14,7 +14,7 @@ from fusion_sfdia.common.arguments import probability, whole
 from fusion_sfdia.common.order_statistics import order_statistic
 from fusion_sfdia.detectors.detector import Detector
 from fusion_sfdia.detectors.silent import silent, silent_scores
-from fusion_sfdia.learning.identification.left_out import side_by_side
+from fusion_sfdia.learning.innovations import side_by_side
 from fusion_sfdia.plant.log import Log
 
 Array = NDArray[Any]

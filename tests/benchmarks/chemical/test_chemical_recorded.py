@@ -20,7 +20,7 @@ from fusion_sfdia.benchmarks.chemical.support.recordings import (
     recording,
 )
 from fusion_sfdia.benchmarks.chemical.support.trials import JUDGED, ONSETS, SIGNS, WARM_UP, biased, cases, sigmas
-from fusion_sfdia.learning.identification.whiteness import whiteness
+from fusion_sfdia.learning.innovations import whiteness
 from fusion_sfdia.plant.log import Log
 
 CHANNELS = len(MEASUREMENTS) + len(VALVES)

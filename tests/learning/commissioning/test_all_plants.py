@@ -11,8 +11,7 @@ from fusion_sfdia.detectors import registry
 from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.learning.commissioning.commission import as_runs
 from fusion_sfdia.learning.commissioning.disturbances import learnt
-from fusion_sfdia.learning.commissioning.score import fitted
-from fusion_sfdia.learning.innovations import settling
+from fusion_sfdia.learning.innovations import fitted, settling
 from fusion_sfdia.plant.augment import augment, fixed
 from fusion_sfdia.plant.uncertainty import Uncertainty
 

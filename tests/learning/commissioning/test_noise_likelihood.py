@@ -19,7 +19,7 @@ from fusion_sfdia.learning.commissioning.noise_likelihood import (
     state_groups,
     with_noise,
 )
-from fusion_sfdia.learning.commissioning.score import fitted
+from fusion_sfdia.learning.innovations import fitted
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
 

@@ -13,7 +13,7 @@ from fusion_sfdia.learning.checks.plants import check_plant
 from fusion_sfdia.learning.identification.choice import Candidate, ModelChoice, candidates_for, choose_model
 from fusion_sfdia.learning.identification.healthy_runs import groups_of, runs_of
 from fusion_sfdia.learning.identification.identify import identify
-from fusion_sfdia.learning.identification.left_out import WARM_UP, left_out
+from fusion_sfdia.learning.innovations import WARM_UP, left_out
 from fusion_sfdia.plant.log import Log
 
 LOGS = 4

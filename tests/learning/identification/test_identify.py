@@ -13,7 +13,7 @@ from scipy.stats import t as student
 from fusion_sfdia.learning.checks.plants import check_plant
 from fusion_sfdia.learning.identification.identify import identify
 from fusion_sfdia.learning.identification.recording import without_repeats
-from fusion_sfdia.learning.identification.whiteness import whiteness
+from fusion_sfdia.learning.innovations import whiteness
 from fusion_sfdia.plant.linear import linear_plant
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
