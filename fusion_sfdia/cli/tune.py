@@ -105,7 +105,7 @@ def diagnosing_detector(chosen: argparse.Namespace) -> tuple[str, Any, Any]:
     if chosen.healthy is None:
         return *bound_detector(chosen.plant, chosen.detector, chosen.tuned), None
     from fusion_sfdia.detectors import registry
-    from fusion_sfdia.learning.tuning.stretch import on_stretch
+    from fusion_sfdia.learning.tuning.tune import on_stretch
     from fusion_sfdia.logs.check import check_log, without_suspects
 
     if chosen.tuned:

@@ -994,7 +994,7 @@ MUTANTS = (
         "tests/learning/commissioning/test_learnt_slow_noise.py::test_white_noise_shows_none",
     ),
     Mutant(
-        "fusion_sfdia/learning/tuning/spikes.py",
+        "fusion_sfdia/learning/tuning/stationary.py",
         "plant.sensor_resolution > 0, 1.0,",
         "plant.sensor_resolution > 0, 0.0,",
         "tests/learning/tuning/test_tune.py::test_coarse_readings_are_learnt_as_such",

@@ -15,21 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia import __version__
-from fusion_sfdia.common.clock import Clock
+from fusion_sfdia.common.clock import Clock, within
 from fusion_sfdia.common.errors import NotApplicableError
 from fusion_sfdia.common.rate import Rate, lasting
 from fusion_sfdia.detectors import registry
+from fusion_sfdia.detectors.detector import Detector
 from fusion_sfdia.detectors.silent import require_scale, silent, silent_scores
 from fusion_sfdia.learning.commissioning.commission import Commissioning, as_runs, commissioned
 from fusion_sfdia.learning.commissioning.parameters import moved
 from fusion_sfdia.learning.commissioning.refusals import require_moving
 from fusion_sfdia.learning.frozen_model.commissioned_model import Each, in_silence
-from fusion_sfdia.learning.tuning.delays import Delays, delays
-from fusion_sfdia.learning.tuning.doubts import remarks
-from fusion_sfdia.learning.tuning.drift import require_no_drift
-from fusion_sfdia.learning.tuning.equal_runs import as_even_runs
 from fusion_sfdia.learning.tuning.frozen import tuned_frozen
-from fusion_sfdia.learning.tuning.stationary import require_stationary
+from fusion_sfdia.learning.tuning.stationary import require_no_drift, require_stationary
 from fusion_sfdia.learning.tuning.tail import AlarmCount, Threshold, counted, shortest, threshold, threshold_figures
 from fusion_sfdia.learning.tuning.tuned import (
     Tuned,
@@ -40,12 +37,21 @@ from fusion_sfdia.learning.tuning.tuned import (
     scaled,
     settings_digest,
 )
+from fusion_sfdia.learning.tuning.words import remarks
+from fusion_sfdia.plant.gaps import LONG, stated_step, stretches
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 
 LEARNT_ON = 40  # samples above its limits from which a detector that learns sets them itself, before they are scaled
+FALSE_ALARM = Rate(1e-3)  # that of registered detectors
+EVEN = 0.01  # of dt: times of runs side by side may differ by so much
+LEAST = 40  # samples of a run
+SIZES = 3.0, 10.0  # sigma
+AHEAD = 60  # samples in which it is to be detected
+ONSETS = 3
+RUNS = 240  # at most, of all sensors, onsets and signs together
 
 
 class HealthySource(NamedTuple):
@@ -273,3 +279,108 @@ def _quality(
         }
     figures["remarks"] = remarks(found, figures, limit, rate)
     return figures
+
+
+def on_stretch(plant: Plant, log: Log, between: str, detector: Any, clock: Clock = Clock()) -> Tuned:  # noqa: B008
+    """Tune on the readings between two times of a log of one run, FROM..TO, see `within`; ValueError as `tune` raises it."""
+    inside = within(log.t, between, clock)
+    part = Log(*(a[inside] for a in log))
+    return tune(
+        plant, part, false_alarm=FALSE_ALARM, detector=detector, sources=[HealthySource(f"the stretch {between}", clock)]
+    )
+
+
+class EvenRuns(NamedTuple):
+    """A log of runs, the times (K, B) at which they were recorded, and of which of the logs each is (B,)."""
+
+    log: Log
+    times: Array
+    of: tuple[int, ...]
+
+
+def as_even_runs(plant: Plant, logs: Sequence[Log]) -> EvenRuns:
+    """The logs of one run each, cut at long gaps, as one Log of runs of the length at which most samples are used.
+
+    The runs take the times of the first: a model's dependence on the time of day is lost. Unevenly sampled stretches cannot
+    stand side by side; the longest is then used alone. ValueError where no stretch is long enough.
+    """
+    whole = [(i, part) for i, log in enumerate(logs) for part in _without_gaps(plant, log) if len(part.t) >= LEAST]
+    if not whole:
+        raise ValueError(
+            f"no stretch of {LEAST} samples without a gap of more than {LONG} in the healthy logs: give longer logs"
+        )
+    alone, longest = max(whole, key=lambda part: len(part[1].t))
+    even = [(i, p) for i, p in whole if np.max(np.abs(np.diff(p.t) - plant.dt)) <= EVEN * plant.dt]
+    lengths = [len(p.t) for _, p in even]
+    if len(whole) == 1 or sum(lengths) <= len(longest.t):
+        return EvenRuns(Log(longest.t, longest.y[:, None], longest.u[:, None]), longest.t[:, None], (alone,))
+    length = max(sorted(set(lengths)), key=lambda n: sum(k // n * (n - LEAST) for k in lengths))
+    cut = [slice(i * length, (i + 1) * length) for i in range(max(lengths) // length)]
+    runs = [(i, Log(*(a[s] for a in p))) for i, p in even for s in cut[: len(p.t) // length]]
+    t, y, u = (np.stack([run[j] for _, run in runs], axis=1) for j in range(3))
+    return EvenRuns(Log(t[:, 0], y, u), t, tuple(i for i, _ in runs))
+
+
+def _without_gaps(plant: Plant, log: Log) -> list[Log]:
+    """The stretches between long gaps, with rows as far apart as the log's usually are, or, where the plant steps over less, as
+    its dt.
+    """
+    if len(log.t) < 2:
+        return [log]
+    usual = float(np.median(np.diff(log.t)))
+    return stretches(log, usual if usual <= stated_step(plant) * (1 + 1e-9) else plant.dt)
+
+
+class Delays(NamedTuple):
+    """For each size (S) and sensor (N): the median delay (s), inf where less than half are detected, and the share detected.
+
+    onsets: faults behind each. within: the time (s) in which they are to be detected.
+    """
+
+    sizes: tuple[float, ...]
+    delay: Array
+    detected_share: Array
+    onsets: int
+    within: float
+
+
+def delays(detector: Detector, log: Log, warm_up: int, sizes: tuple[float, ...] = SIZES, sigma: Array | None = None) -> Delays:
+    """Add a bias of each sensor to healthy readings of runs, y (K, B, N), and count until that sensor is isolated.
+
+    Of a detector that does not isolate, until its own residual exceeds its threshold. The delay of a fault that is found in its
+    first sample is 0. The detector starts `warm_up` samples before the onset; the onsets are spread over the log, with
+    alternating signs. Readings that control the plant are taken as they were: the loop does not act on the bias.
+    """
+    plant = detector.plant
+    sigma = plant.sensor_sigma if sigma is None else sigma
+    steps, runs, count = log.y.shape
+    ahead = min(AHEAD, max((steps - warm_up) // 2, 1))
+    onsets = max(1, min(ONSETS, RUNS // (count * len(sizes))))
+    first = np.linspace(warm_up, steps - ahead, onsets).astype(int)
+    size = np.repeat(sizes, count)
+    sensor = np.tile(np.arange(count), len(sizes))
+    delay = np.full((onsets, size.size), np.inf)
+    for j, onset in enumerate(first):
+        part, run = slice(onset - warm_up, onset + ahead), j % runs
+        y = np.repeat(log.y[part, run][:, None], size.size, axis=1)
+        y[warm_up:, np.arange(size.size), sensor] += (-1) ** j * size * sigma[sensor]
+        delay[j] = _first(detector, Log(log.t[part], y, log.u[part, run]), warm_up, sensor)
+    shape = (onsets, len(sizes), count)
+    with np.errstate(invalid="ignore"):
+        middle = np.median(delay.reshape(shape), axis=0)
+    found = np.mean(np.isfinite(delay).reshape(shape), axis=0)
+    return Delays(tuple(sizes), np.where(found >= 0.5, middle, np.inf) * plant.dt, found, onsets, ahead * plant.dt)
+
+
+def _first(detector: Detector, log: Log, warm_up: int, sensor: Array) -> Array:
+    """The sample after warm_up at which each run (B,) names its sensor, inf where it does not."""
+    state = detector.init(log.y.shape[1:-1], float(log.t[0]) - detector.plant.dt)
+    found, each = np.full(sensor.size, np.inf), np.arange(sensor.size)
+    for k, (t, y, u) in enumerate(zip(log.t.tolist(), log.y, log.u, strict=True)):
+        state, decision = detector.step(state, t, y, u)
+        if k >= warm_up:
+            named = decision.isolated[each, sensor] | (decision.scores[each, sensor] > 1)
+            found = np.where(named & np.isinf(found), float(k - warm_up), found)
+            if np.all(np.isfinite(found)):
+                break
+    return found

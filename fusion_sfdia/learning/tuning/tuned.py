@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 import sys
-from collections.abc import Callable
+import tomllib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import number, shown
-from fusion_sfdia.common.files import all_or_none
+from fusion_sfdia.common.files import all_or_none, atomic_write
 from fusion_sfdia.common.rate import Rate
 from fusion_sfdia.common.references import name_of
+from fusion_sfdia.common.warned import warn
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.detectors.batch_detector import BatchDetector
 from fusion_sfdia.detectors.detector import Detector
@@ -26,8 +29,6 @@ from fusion_sfdia.learning.commissioning.disturbances import FoundDisturbance, m
 from fusion_sfdia.learning.commissioning.noise_likelihood import Noise, state_groups, with_noise
 from fusion_sfdia.learning.commissioning.parameters import ParameterEstimate, declared, free, moved
 from fusion_sfdia.learning.commissioning.start import Start, with_start
-from fusion_sfdia.learning.tuning.response import response, warn_of_change
-from fusion_sfdia.learning.tuning.tuned_file import read_document, write_document
 from fusion_sfdia.plant.augment import fixed
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.signals import Sensor
@@ -53,6 +54,7 @@ COMMENTS = {
     "start": "Where runs begin: a state, and the variance of first states about it.",
     "quality": "How well this holds, on halves of the log from which it was not learnt.",
 }
+SAME = 1e-8  # of the terms of a sum: far above rounding, far below what a changed parameter moves
 
 
 @dataclass(frozen=True, eq=False)
@@ -427,3 +429,88 @@ def _positive(what: str, value: Any) -> float:
     if not 0 < (found := number(what, value)) < LARGEST:
         raise ValueError(f"{what} is {found}; expected a positive number, as `fusion-sfdia tune` writes it")
     return found
+
+
+def write_document(path: Path, document: Mapping[str, Any], comments: Mapping[str, str]) -> None:
+    """Write tables [name] and [[name]], each below its comment; "" is that of the whole."""
+    lines = [f"# {line}" for line in comments.get("", "").splitlines()]
+    for name, content in document.items():
+        tables = content if isinstance(content, list) else [content]
+        for table in tables:
+            title = f"[[{_key(name)}]]" if isinstance(content, list) else f"[{_key(name)}]"
+            lines += ["", *(f"# {line}" for line in comments.get(name, "").splitlines()), title]
+            lines += [f"{_key(key)} = {_value(value)}" for key, value in table.items()]
+    with atomic_write(path) as file:
+        file.write("\n".join(lines) + "\n")
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """Read a TOML file; ValueError, which names it, where it is none."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ValueError(f"{path} is not a TOML file ({error}); expected what `fusion-sfdia tune` writes") from error
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _text(name)
+
+
+def _text(value: str) -> str:
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _value(value: Any) -> str:
+    match value:
+        case bool():
+            return str(value).lower()
+        case str():
+            return _text(value)
+        case int() | float():
+            return repr(value)  # also inf and nan
+        case Mapping():
+            return f"{{ {', '.join(f'{_key(k)} = {_value(v)}' for k, v in value.items())} }}"
+        case list() | tuple():
+            return f"[{', '.join(map(_value, value))}]"
+    raise ValueError(f"a TOML file cannot hold {value!r}")
+
+
+class ModelChangedWarning(UserWarning):
+    """The equations of a plant are not those for which a file was tuned."""
+
+
+def response(plant: Plant) -> list[float]:
+    """The next state and the readings one standard deviation beside the first state, where a balance at rest does not hide
+    a parameter: each as a weighted sum over its standard deviations. [] where the plant cannot be evaluated there.
+    """
+    return [float(np.sum(terms)) for terms in _terms(plant)]
+
+
+def warn_of_change(found: dict[str, Any], plant: Plant) -> None:
+    """Warn where the response of a plant is not the one in the [plant] table of a tuned file, which older files lack."""
+    kept = found.get("response", [])
+    if not isinstance(kept, list):
+        raise ValueError(f"response is {shown(kept)}; expected a list of numbers, as `fusion-sfdia tune` writes it")
+    kept = [number("response", value) for value in kept]
+    pairs = zip(kept, _terms(plant) if kept else [], strict=False)
+    if any(not abs(value - np.sum(terms)) <= SAME * np.sum(np.abs(terms)) for value, terms in pairs):
+        warn(
+            f"the model of plant {plant.name!r} has changed since it was tuned: what was learnt and the thresholds may not "
+            "hold; tune again",
+            ModelChangedWarning,
+        )
+
+
+def _terms(plant: Plant) -> list[Array]:
+    """The terms of both sums; weights that no symmetry of a plant makes cancel."""
+    cov = np.asarray(plant.initial_cov)
+    sd = np.sqrt(cov if cov.ndim == 1 else np.diagonal(cov))
+    try:
+        x, u = plant.guard((plant.x0 + sd)[None])[0], plant.input_at(0.0)[None]
+        with np.errstate(all="ignore"):
+            ahead = np.asarray(plant.step(0.0, x, u, plant.dt))[0] / np.where(sd > 0, sd, 1.0)
+            readings = np.asarray(plant.output(plant.dt, x, u))[0] / plant.sensor_sigma
+    except (ArithmeticError, ValueError):
+        return []
+    found = [values * np.cos(np.arange(values.size)) for values in (ahead, readings)]
+    return found if all(np.isfinite(terms).all() for terms in found) else []

@@ -7,7 +7,7 @@ import pytest
 from toy_plants import chain, readings
 
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.learning.tuning.delays import delays
+from fusion_sfdia.learning.tuning.tune import delays
 from fusion_sfdia.plant.log import Log
 
 PLANT = chain(3, process=0.3)

@@ -11,7 +11,7 @@ from scipy.stats import t as student
 
 from fusion_sfdia import Plant, Sensor, Signal, linear_plant, simulate
 from fusion_sfdia.learning.commissioning.commission import as_runs
-from fusion_sfdia.learning.tuning.drift import REFUSED, require_no_drift, trends
+from fusion_sfdia.learning.tuning.stationary import REFUSED, require_no_drift, trends
 from fusion_sfdia.learning.tuning.tune import tune
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.uncertainty import Parameter, Uncertainty

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from toy_plants import chain, changed
 
-from fusion_sfdia.learning.tuning.equal_runs import as_even_runs
+from fusion_sfdia.learning.tuning.tune import as_even_runs
 from fusion_sfdia.plant.log import Log
 
 PLANT = changed(chain(2), fixed_dt=False)

@@ -6,7 +6,7 @@ import inspect
 import random
 import re
 from dataclasses import replace
-from datetime import datetime, timedelta
+from datetime import datetime, timedelta, timezone
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -20,10 +20,9 @@ from fusion_sfdia.common.rate import Rate
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.detectors.detector import run
 from fusion_sfdia.diagnosis.simulate import simulate
-from fusion_sfdia.learning.tuning.response import ModelChangedWarning
 from fusion_sfdia.learning.tuning.tail import counted
-from fusion_sfdia.learning.tuning.tune import HealthySource, tune
-from fusion_sfdia.learning.tuning.tuned import Tuned
+from fusion_sfdia.learning.tuning.tune import HealthySource, tune, within
+from fusion_sfdia.learning.tuning.tuned import ModelChangedWarning, Tuned
 from fusion_sfdia.learning.tuning.words import as_text
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
@@ -33,6 +32,9 @@ from fusion_sfdia.plant.slow_noise import SlowNoise
 RATE, STEPS, RUNS = 0.02, 300, 4
 PLANT = chain(4, process=0.3)
 TRUE_SIGMA = 1.0, 3.0, 0.4, 1.0  # of sensors that all state 1
+T = np.arange(0.0, 100.0, 10.0)
+ZONE = timezone(timedelta(hours=1))
+CLOCK = Clock(datetime(2026, 3, 1, 12, 0, tzinfo=ZONE))
 
 
 def truth() -> Plant:
@@ -278,3 +280,33 @@ def test_a_file_of_something_else_is_refused(text: str, reason: str, tmp_path: P
     (tmp_path / "x.toml").write_text(text)
     with pytest.raises(ValueError, match=rf"x\.toml.*{reason}"):
         Tuned.read(tmp_path / "x.toml")
+
+
+@pytest.mark.parametrize(
+    ("between", "first", "last"),
+    [
+        ("20..50", 20, 50),
+        ("..50", 0, 50),
+        ("20..", 20, 90),
+        ("2026-03-01T12:00:15..2026-03-01 12:01", 20, 60),
+        ("2026-03-01T11:00:15Z..45", 20, 40),
+    ],
+)
+def test_a_stretch(between: str, first: float, last: float) -> None:
+    inside = T[within(T, between, CLOCK)]
+    assert (inside[0], inside[-1]) == (first, last)
+
+
+@pytest.mark.parametrize(
+    ("between", "clock", "reason"),
+    [
+        ("20-50", CLOCK, r"expected FROM\.\.TO, such as 0\.\.3600 \(s\) or 2026-03-01T"),
+        ("200..300", Clock(), r"no reading from 200 to 300; the log goes from 0 s to 90 s"),
+        ("a..50", CLOCK, "neither seconds nor such as 2026-03-01T14:20"),
+        ("2026-03-01..50", Clock(), "the log has seconds alone"),
+        ("2026-03-01T12:00Z..50", Clock(datetime(2026, 3, 1)), "has a zone, those of the log have none"),
+    ],
+)
+def test_what_is_no_stretch_is_refused(between: str, clock: Clock, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        within(T, between, clock)
