@@ -7,8 +7,8 @@ from fusion_sfdia.learning.commissioning.commission import commissioned as commi
 from fusion_sfdia.learning.identification.choice import Candidate as Candidate
 from fusion_sfdia.learning.identification.choice import ModelChoice as ModelChoice
 from fusion_sfdia.learning.identification.choice import choose_model as choose_model
+from fusion_sfdia.learning.identification.healthy_runs import without_repeats as without_repeats
 from fusion_sfdia.learning.identification.identify import identify as identify
-from fusion_sfdia.learning.identification.recording import without_repeats as without_repeats
 from fusion_sfdia.learning.innovations import WhitenessTest as WhitenessTest
 from fusion_sfdia.learning.innovations import whiteness as whiteness
 from fusion_sfdia.learning.inspection.inspection import Inspection as Inspection

@@ -988,10 +988,10 @@ MUTANTS = (
         "tests/diagnosis/test_model_health.py::test_slow_noise_that_is_stated_fits",
     ),
     Mutant(
-        "fusion_sfdia/learning/commissioning/learnt_slow_noise.py",
+        "fusion_sfdia/learning/commissioning/noise_likelihood.py",
         "np.min(deviance)) > RATIO",
         "np.min(deviance)) > 0",
-        "tests/learning/commissioning/test_learnt_slow_noise.py::test_white_noise_shows_none",
+        "tests/learning/commissioning/test_noise_likelihood.py::test_white_noise_shows_none",
     ),
     Mutant(
         "fusion_sfdia/learning/tuning/stationary.py",

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import shown
+from fusion_sfdia.learning.identification.healthy_runs import without_repeats
 from fusion_sfdia.learning.identification.identify import identify
-from fusion_sfdia.learning.identification.recording import without_repeats
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.signals import Signal

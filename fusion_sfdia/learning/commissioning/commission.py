@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import probability
 from fusion_sfdia.learning.commissioning.disturbances import WINDOW, FoundDisturbance, learnt, windows
-from fusion_sfdia.learning.commissioning.learnt_slow_noise import with_slow_noise
 from fusion_sfdia.learning.commissioning.noise_likelihood import (
     Noise,
     in_steps,
@@ -26,6 +25,7 @@ from fusion_sfdia.learning.commissioning.noise_likelihood import (
     likeliest_noise,
     louder_sensors,
     with_noise,
+    with_slow_noise,
 )
 from fusion_sfdia.learning.commissioning.parameters import ParameterEstimate, estimated, moved
 from fusion_sfdia.learning.commissioning.refusals import (

@@ -1,4 +1,4 @@
-"""Process noise and sensor noise of greatest likelihood.
+"""Process noise and sensor noise of greatest likelihood, and slow noise of sensors.
 
 With the filter's F, H, K, S and innovations d, the adjoint of the predicted state runs backward,
 
@@ -9,6 +9,14 @@ and gives the derivatives d logL / d Q = (lam lam' - Lam) / 2, d logL / d R = (e
 score for time series models in state space form). For a factor s on a part of Q or R the likelihood is stationary where
 a = s sum lam' Q lam equals b = s sum tr(Lam Q); s <- s a / b leads there, and b counts the degrees of freedom that the log has
 for s (MacKay 1992, Bayesian interpolation; with the square root of a / b each step climbs, Zhou, Hu, Zhou and Lange 2019).
+
+Slow noise shows in the leave-one-out innovations. Of white noise with a slow part of the share s and the correlation q from
+sample to sample the spectrum is
+
+    f(w) = v ((1 - s) + s (1 - q^2) / (1 - 2 q cos w + q^2))
+
+s and q are those of greatest likelihood of the periodogram I, -sum (ln f + I / f) (Whittle 1953), v its mean of I / f. Whatever
+makes the innovations slow, the noise, the equations or a parameter that wanders, makes sums over them vary as much.
 """
 
 from __future__ import annotations
@@ -24,6 +32,7 @@ from fusion_sfdia.plant.augment import fixed
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.regularity import resolution
+from fusion_sfdia.plant.slow_noise import SlowNoise
 
 Array = NDArray[Any]
 
@@ -35,6 +44,10 @@ BRIEF = 15  # samples of a window about whose mean a sensor scatters
 LOUD = 1.5  # of its stated variance: a sensor is no louder up to there
 CHANCE = 4.0  # standard errors of that variance in addition
 LEAST, MOST = 0.01, 100.0  # factors of a variance in all
+SHARES = np.linspace(0.05, 0.95, 19)
+SLOWEST = 8.0  # time constants in the log, at least, of what can be learnt
+RATIO = 13.8  # of likelihoods, twice its logarithm: chance exceeds it in 1 of 1000 logs (chi-square, 2 degrees of freedom)
+SHORTEST = 64  # samples
 
 
 class Noise(NamedTuple):
@@ -171,3 +184,30 @@ def _moments(plant: Plant, log: Log, use: Array, groups: dict[str, Array]) -> tu
             closed(k)
     a, b = np.concatenate([process, sensors], axis=1)
     return a, b
+
+
+def slow_noise(single: Array, dt: float) -> SlowNoise | None:
+    """The slow part of a sensor's noise, from innovations (K, B) of runs, NaN where missing; None where it shows none."""
+    length = single.shape[0]
+    runs = int(np.sum(np.isfinite(single).any(axis=0)))
+    if length < SHORTEST or not runs:
+        return None
+    e = np.nan_to_num(single - np.nanmean(single))
+    periodogram = np.mean(np.abs(np.fft.rfft(e, axis=0)[1:]) ** 2, axis=-1) / length
+    angle = 2 * np.pi * np.arange(1, periodogram.size + 1) / length
+    times = np.geomspace(0.5, length / SLOWEST, 40)  # time constants, in samples
+    q, s = np.exp(-1 / times)[:, None, None], SHARES[:, None]
+    f = (1 - s) + s * (1 - q**2) / (1 - 2 * q * np.cos(angle) + q**2)
+    deviance = np.sum(np.log(f), axis=-1) + angle.size * np.log(np.mean(periodogram / f, axis=-1))
+    white = angle.size * float(np.log(np.mean(periodogram)))
+    if not 2 * runs * (white - np.min(deviance)) > RATIO:
+        return None
+    j, i = np.unravel_index(np.argmin(deviance), deviance.shape)
+    return SlowNoise(float(SHARES[i]), float(times[j] * dt))
+
+
+def with_slow_noise(plant: Plant, single: Array) -> Plant:
+    """The plant with the slow noise that innovations (K, B, N) of its sensors show; of one that shows none as it is stated."""
+    with np.errstate(invalid="ignore"):
+        found = [slow_noise(single[..., i], plant.dt) for i in range(single.shape[-1])]
+    return replace(plant, sensors=tuple(replace(s, noise=n or s.noise) for s, n in zip(plant.sensors, found, strict=True)))

@@ -10,13 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import whole
-from fusion_sfdia.learning.identification.autoregression import autoregression
-from fusion_sfdia.learning.identification.factor_model import factors
 from fusion_sfdia.learning.identification.healthy_runs import Runs, groups_of, runs_of
-from fusion_sfdia.learning.identification.linear_gaussian import smoothed
-from fusion_sfdia.learning.identification.realisation import plant_of
-from fusion_sfdia.learning.identification.state_space import plant_of_model, terms
-from fusion_sfdia.learning.identification.subspace import fitted
+from fusion_sfdia.learning.identification.linear_gaussian import fitted, plant_of, smoothed
+from fusion_sfdia.learning.identification.state_space import autoregression, factors, plant_of_model, terms
 from fusion_sfdia.learning.innovations import LeftOut, left_out
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant

@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import number, shown, whole
 from fusion_sfdia.learning.identification.choice import choose_model
-from fusion_sfdia.learning.identification.linear_gaussian import filtered, smoothed
-from fusion_sfdia.learning.identification.realisation import plant_of
-from fusion_sfdia.learning.identification.recording import scaled
-from fusion_sfdia.learning.identification.subspace import fitted
+from fusion_sfdia.learning.identification.healthy_runs import scaled
+from fusion_sfdia.learning.identification.linear_gaussian import filtered, fitted, plant_of, smoothed
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.signals import Signal

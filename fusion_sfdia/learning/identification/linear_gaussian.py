@@ -1,4 +1,5 @@
-"""A linear model with Gaussian noise: its smoother, its likelihood and the update of expectation maximisation.
+"""A linear model with Gaussian noise of a recording: canonical variates to start from, its smoother, its likelihood, the update
+of expectation maximisation, and the plant that it is, whose states have names and units.
 
     x_t = A x_{t-1} + B u_t + w_t, w ~ N(0, Q)        y_t = C x_t + v_t, v ~ N(0, diag r)
 
@@ -9,15 +10,29 @@ Ghahramani and Hinton 1996, "Parameter estimation for linear dynamical systems",
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cholesky, qr, solve, solve_triangular
+
+from fusion_sfdia.learning.identification.healthy_runs import Scaled
+from fusion_sfdia.plant.linear import linear_plant
+from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.signals import Sensor, Signal
 
 Array = NDArray[Any]
 
 LEAST_NOISE = 1e-4  # least variance of a reading's noise over the variance of the reading: a hundredth of its deviation
 LEAST_PROCESS = 1e-9  # least variance of the process noise, of a state of variance 1
+LAGS = 4  # samples of the past and of the future in canonical variates; a state for each reading in them takes one more
+SHRINK = 0.1  # added to the variances, of readings of variance 1: rows of past and future are nearly collinear
+SLOWEST = 0.99  # largest modulus of an eigenvalue at the start
+NOISE = 0.2  # noise at the start over the residuals' variance: expectation maximisation raises it fast and lowers it slowly
+LEAST = 0.005  # least variance of a reading's noise at the start, of a reading of variance 1
+LATER = 0.5  # weight of a reading one step later as a state: present readings are preferred
 
 
 class LinearGaussian(NamedTuple):
@@ -136,3 +151,95 @@ def _symmetric(P: Array) -> Array:
 
 def _transposed(a: Array) -> Array:
     return np.swapaxes(a, -1, -2)
+
+
+def canonical_variates(y: Array, u: Array, order: int, lags: int) -> LinearGaussian:
+    """A model of that order from y (K, N) and u (K, m), centred and of variance 1; a missing reading is its last value.
+
+    p_t = (y_t, ..., y_{t-lags+1}, u_t, ...), f_t = (y_{t+1}, ..., y_{t+lags}). With the singular value decomposition
+
+        S_ff^-1/2 S_fp S_pp^-1/2' = U diag(rho) V',    x_t = V_n' S_pp^-1/2 p_t
+
+    are the n combinations of the past that predict the future best (Larimore 1990; Van Overschee and De Moor 1996, sec. 4.3.3).
+    A, B, C are then regressions, Q and r the variances of their residuals. Future inputs are not projected out: expectation
+    maximisation starts here and corrects it.
+    """
+    y = held(y)
+    ends = np.arange(lags - 1, len(y) - lags)
+    past = np.hstack([s[ends - k] for s in (y, u) for k in range(lags)])
+    future = np.hstack([y[ends + k] for k in range(1, lags + 1)])
+    half_p, half_f = (cholesky(s.T @ s / len(ends) + SHRINK * np.eye(s.shape[1]), lower=True) for s in (past, future))
+    between = solve_triangular(half_f, future.T @ past / len(ends), lower=True)
+    V = np.linalg.svd(solve_triangular(half_p, between.T, lower=True).T, full_matrices=False)[2]
+    x = past @ solve_triangular(half_p, V[:order].T, lower=True, trans="T")
+    x = x / x.std(axis=0)
+
+    before = np.hstack([x[:-1], u[ends[1:]]])
+    AB = _regression(before, x[1:])
+    A, B = AB[:, :order], AB[:, order:]
+    C = _regression(x, y[ends])
+    error = x[1:] - before @ AB.T
+    A = A * min(1.0, SLOWEST / np.max(np.abs(np.linalg.eigvals(A))))
+    Q = error.T @ error / len(error) + SHRINK**2 * np.eye(order)
+    r = np.maximum(NOISE * np.mean((y[ends] - x @ C.T) ** 2, axis=0), LEAST)
+    return LinearGaussian(A, B, C, Q, r, np.zeros(order), np.eye(order))
+
+
+def fitted(y: Array, u: Array, order: int, ridge: float, iterations: int) -> LinearGaussian:
+    """The model of that order after expectation maximisation, see `identify`; of y (F, K, N) a model for each recording."""
+    lags = LAGS + order // y.shape[-1]
+    if y.ndim == 2:
+        model = canonical_variates(y, u, order, lags)
+    else:
+        model = LinearGaussian(*map(np.stack, zip(*(canonical_variates(one, u, order, lags) for one in y), strict=True)))
+    for _ in range(iterations):
+        model = maximised(model, smoothed(model, y, u), y, u, ridge)
+    return model
+
+
+def held(y: Array) -> Array:
+    """Y (K, N) with missing readings replaced by the last one, 0 before the first."""
+    last = np.maximum.accumulate(np.where(np.isfinite(y), np.arange(len(y))[:, None], -1), axis=0)
+    return np.where(last >= 0, np.take_along_axis(np.nan_to_num(y), np.maximum(last, 0), axis=0), 0.0)
+
+
+def _regression(z: Array, x: Array) -> Array:
+    return np.asarray(solve(z.T @ z + np.eye(z.shape[1]), z.T @ x, assume_a="pos").T)
+
+
+def plant_of(name: str, model: LinearGaussian, scale: Scaled, sensors: Sequence[Signal], inputs: Sequence[Signal]) -> Plant:
+    """The plant of a model of scaled readings, in the readings' units.
+
+    With T the n rows of (C; C A; C A^2; ...) that a QR decomposition with pivots chooses, of rows over the reading's noise, the
+    states T x are values without noise of readings, now or some steps later without further input and noise: "true level",
+    "true level 2 later".
+    """
+    A, B, C, Q, r, _, P0 = model
+    n, count = len(A), len(C)
+    powers = [np.eye(n)]
+    while len(powers) < n:
+        powers.append(powers[-1] @ A)
+    rows = np.concatenate([C @ power for power in powers])
+    weight = np.concatenate([LATER**k / np.sqrt(r) for k in range(n)])
+    chosen = np.sort(qr((weight[:, None] * rows).T, mode="r", pivoting=True)[1][:n])
+    which, later = chosen % count, chosen // count
+    unit = scale.y_sd[which]
+    T = unit[:, None] * rows[chosen]
+
+    def of_states(matrix: Array) -> Array:
+        return np.asarray(solve(T.T, matrix.T).T)  # matrix T^-1
+
+    F, G = of_states(T @ A), T @ B / scale.u_sd
+    H = of_states(scale.y_sd[:, None] * C)
+    centre = scale.y_mean[which]  # x in own units is T x + centre
+    names = [sensors[i].name + (f" {k} later" if k else "") for i, k in zip(which, later, strict=True)]
+    return linear_plant(
+        name, F, H, [
+            Sensor(s.name, s.name, s.unit, sigma=float(sigma))
+            for s, sigma in zip(sensors, scale.y_sd * np.sqrt(r), strict=True)
+        ],
+        dt=scale.dt, x0=centre, initial_cov=_symmetric(T @ P0 @ T.T), process_cov=_symmetric(T @ Q @ T.T),
+        input_matrix=G, offset=centre - F @ centre - G @ scale.u_mean, output_offset=scale.y_mean - H @ centre,
+        states=[Signal(f"true {s}", sensors[i].unit, float(x)) for s, i, x in zip(names, which, centre, strict=True)],
+        inputs=[replace(s, nominal=float(mean)) for s, mean in zip(inputs, scale.u_mean, strict=True)],
+    )  # fmt: skip

@@ -1,12 +1,15 @@
-"""What a log of a healthy plant shows of its model: whether predictions err as stated, and false alarms."""
+"""What a log of a healthy plant shows of its model: whether predictions err as stated, false alarms, and which readings depend
+on an input directly, so that they show at once whether its values are stated in the right row.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.diagnosis.diagnose import SECONDS
@@ -20,6 +23,9 @@ from fusion_sfdia.plant.plant import Plant
 
 LOWER, UPPER = 0.7, 1.4  # between which the errors of predictions may be of those stated
 LASTING = 0.3  # autocorrelation of them, above 5 standard errors, which a right model does not have
+Array = NDArray[Any]
+
+SEEN = 3.0  # sigma: a smaller jump of a reading is not told from noise
 
 
 class OnHealthy(NamedTuple):
@@ -64,3 +70,36 @@ def of_healthy(plant: Plant, found: OnHealthy) -> Iterator[PlantFinding]:
         yield PlantFinding(
             REMARK, found.detector, f"{len(found.events)} events in the healthy log: {some}; check the log, then fit thresholds"
         )
+
+
+class Feedthrough(NamedTuple):
+    """jump (m, N): change of each reading, in its sigma, by the largest step of each input between rows of a log."""
+
+    jump: Array
+
+
+def feedthrough(plant: Plant, log: Log) -> Feedthrough:
+    """The change of y = h(t, x, u) at x0 by u alone, for the largest step of each input in a log of one run."""
+    jump = np.zeros((len(plant.inputs), len(plant.sensors)))
+    for i in range(len(plant.inputs) if len(log.t) > 1 else 0):
+        k = int(np.argmax(np.abs(np.diff(log.u[:, i]))))
+        before, after = log.u[k].copy(), log.u[k].copy()
+        after[i] = log.u[k + 1, i]
+        t = float(log.t[k])
+        with np.errstate(all="ignore"):
+            change = plant.output(t, plant.x0, after) - plant.output(t, plant.x0, before)
+        jump[i] = np.nan_to_num(np.abs(change)) / plant.sensor_sigma
+    return Feedthrough(jump)
+
+
+def of_feedthrough(plant: Plant, found: Feedthrough) -> Iterator[PlantFinding]:
+    """The inputs whose convention matters, and the sensors that show it."""
+    for signal, jump in zip(plant.inputs, found.jump, strict=True):
+        if names := [f"{n} ({size:.2g} sigma)" for n, size in zip(plant.sensor_names, jump, strict=True) if size > SEEN]:
+            yield PlantFinding(
+                REMARK,
+                signal.name,
+                f"its largest step in the log moves {', '.join(names)} at once, as the output depends on u: were it stated a "
+                'row too late or too early, each step would be a spike; make sure of `inputs` in the map ("at the sample" or '
+                '"until the sample")',
+            )

@@ -10,19 +10,15 @@ import numpy as np
 
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.detectors.kalman_banks.identifiability import CONFOUNDED, IdentifiabilityResult, identifiability
-from fusion_sfdia.learning.inspection.cost import cost, of_cost
-from fusion_sfdia.learning.inspection.detectability import DETECTORS, Tried, tried
-from fusion_sfdia.learning.inspection.feedthrough import feedthrough, of_feedthrough
-from fusion_sfdia.learning.inspection.healthy import of_healthy, on_healthy
+from fusion_sfdia.learning.inspection.cost import cost, of_cost, of_waiting, waiting
+from fusion_sfdia.learning.inspection.detectability import DETECTORS, GROWTH, Tried, promised, tried
+from fusion_sfdia.learning.inspection.healthy import feedthrough, of_feedthrough, of_healthy, on_healthy
 from fusion_sfdia.learning.inspection.inspection import Inspection
 from fusion_sfdia.learning.inspection.observability import observability, of_readings
 from fusion_sfdia.learning.inspection.plant_findings import MISTAKE, REMARK, PlantFinding, mistakes, not_analytic
-from fusion_sfdia.learning.inspection.promises import GROWTH, promised
-from fusion_sfdia.learning.inspection.steady import of_start
-from fusion_sfdia.learning.inspection.stepping import of_step, stepping
+from fusion_sfdia.learning.inspection.stepping import of_start, of_step, stepping
 from fusion_sfdia.learning.inspection.structure import of_structure, structural
 from fusion_sfdia.learning.inspection.turns import beyond_a_turn, of_turns, turns
-from fusion_sfdia.learning.inspection.waiting import of_waiting, waiting
 from fusion_sfdia.logs.log_forms import as_log
 from fusion_sfdia.plant.log import one_run
 from fusion_sfdia.plant.plant import Plant

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from fusion_sfdia.detectors.kalman_banks.identifiability import IdentifiabilityResult
-from fusion_sfdia.learning.inspection.detectability import CASES, Tried
+from fusion_sfdia.learning.inspection.detectability import BIAS_WITHIN, CASES, DRIFT_WITHIN, GROWTH, Promise, Tried
 from fusion_sfdia.learning.inspection.healthy import OnHealthy
 from fusion_sfdia.learning.inspection.observability import Observability
 from fusion_sfdia.learning.inspection.plant_findings import MISTAKE, REMARK, PlantFinding
-from fusion_sfdia.learning.inspection.promises import BIAS_WITHIN, DRIFT_WITHIN, GROWTH, Promise
 from fusion_sfdia.learning.inspection.stepping import Stepping
 from fusion_sfdia.learning.inspection.structure import Structural
 from fusion_sfdia.plant.plant import Plant

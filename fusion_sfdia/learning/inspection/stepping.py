@@ -1,9 +1,14 @@
-"""Whether the step of a plant is short enough: its time constants, and its error by comparison with two half steps.
+"""Whether the step of a plant is short enough: its time constants, its error by comparison with two half steps, and whether the
+nominal state is steady under the nominal inputs, as far as the plant claims to know it.
 
 With the Jacobian F(h) of a step of h seconds, A = (F(h) - I) / h for h -> 0 is that of the differential equation, whatever the
 method of the step; its eigenvalues s are the rates of the modes. A mode with Re s < 0 whose F(dt) grows is unstable by the step
 alone. The error of a step is estimated by Richardson's comparison of one step of dt with two of dt / 2: for a method of first
 order the difference is half of the error, for higher orders nearly all of it.
+
+A nominal state is rounded: the steady one is x0 + e, where e has the initial covariance P0. With the Jacobian F of a step and
+the process noise w, x0 then moves by about w - (F - I) e in a step, of covariance (F - I) P0 (F - I)' + Q. A far larger
+movement contradicts what the plant states: a nominal value, or a constant of an equation, in another unit.
 """
 
 from __future__ import annotations
@@ -14,8 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.covariance import diagonal
-from fusion_sfdia.learning.checks.models import points
+from fusion_sfdia.common.covariance import dense, diagonal
+from fusion_sfdia.learning.checks.plants import points
 from fusion_sfdia.learning.inspection.plant_findings import MISTAKE, REMARK, PlantFinding
 from fusion_sfdia.plant.integration import IntegratedStep
 from fusion_sfdia.plant.plant import Plant
@@ -28,6 +33,7 @@ CHANGE = 0.05  # of the inputs, in the excursion
 STIFF = 2.0  # |s| dt above which an explicit step is unstable (Euler) or nearly so
 LONGEST = 1024  # steps of dt in the longest gap that is tried
 NOTED = 0.1  # of the process noise: an error of a step above it is worth a remark
+MOST = 5.0  # standard deviations: Gaussian chance 6e-7 a state
 
 
 class Stepping(NamedTuple):
@@ -154,3 +160,25 @@ def _finer(plant: Plant, error: float, fastest: float) -> str:
     if plant.step.model.decay is not None:
         return f"give `discretise` substeps={2 * now}"
     return f"give `discretise` substeps={max(np.ceil(now * times**0.25), np.ceil(fastest * plant.dt / STIFF)):.0f}, or decay"
+
+
+def of_start(plant: Plant) -> Iterator[PlantFinding]:
+    """That x0 moves under the inputs at 0 s by more than its uncertainty and the process noise account for."""
+    x, u = plant.x0, plant.input_at(0.0)
+    with np.errstate(all="ignore"):
+        moved = plant.step(0.0, x, u, plant.dt) - x
+        A = plant.step_jacobian_at(0.0, x, u, plant.dt) - np.eye(x.size)
+        sigma = np.sqrt(diagonal(A @ dense(plant.initial_cov) @ A.T) + diagonal(plant.process_cov))
+        rounding = 64 * np.finfo(float).eps * np.abs(x)
+        times = np.where(np.abs(moved) <= rounding, 0.0, np.abs(moved) / sigma)
+    worst = int(np.argmax(times))
+    if times[worst] > MOST:
+        state = plant.states[worst]
+        yield PlantFinding(
+            REMARK,
+            "start",
+            f"with the usual inputs the nominal state is not steady: {state.name} moves by {moved[worst]:.2g} {state.unit} in "
+            f"a step of {plant.dt:g} s, {times[worst]:.2g} times what initial_sigma and process_sigma account for; if it is "
+            f"meant to be steady, check the nominal values that the equation of {state.name} uses, its constants, and their "
+            "units",
+        )

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from fusion_sfdia.learning.checks.plants import check_plant
+from fusion_sfdia.learning.identification.healthy_runs import without_repeats
 from fusion_sfdia.learning.identification.identify import identify
-from fusion_sfdia.learning.identification.recording import without_repeats
 from fusion_sfdia.learning.innovations import whiteness
 from fusion_sfdia.plant.linear import linear_plant
 from fusion_sfdia.plant.log import Log

@@ -16,7 +16,7 @@ from toy_plants import Array, chain, tanks
 from fusion_sfdia import Physics, Plant, Sensor, Signal, discretise, inspect, linear_plant, simulate
 from fusion_sfdia.detectors.registry import NamedDetector, detector
 from fusion_sfdia.learning.inspection.inspection import as_json, as_text
-from fusion_sfdia.learning.inspection.steady import of_start
+from fusion_sfdia.learning.inspection.stepping import of_start
 from fusion_sfdia.plant.augment import augment
 from fusion_sfdia.plant.uncertainty import Disturbance, Uncertainty
 from fusion_sfdia.plants import Numerics, SlowNoise

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from toy_plants import chain, tanks
 
-from fusion_sfdia.learning.inspection import waiting as module
+from fusion_sfdia.learning.inspection import cost as module
+from fusion_sfdia.learning.inspection.cost import Waiting, of_waiting, waiting
 from fusion_sfdia.learning.inspection.inspect import inspect
-from fusion_sfdia.learning.inspection.waiting import Waiting, of_waiting, waiting
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
 
@@ -77,6 +77,6 @@ def test_a_network_of_many_states_is_to_be_split(monkeypatch: pytest.MonkeyPatch
     assert "one for each area" in finding.text
 
 
-def test_an_inspection_states_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_inspection_states_how_long_a_diagnosis_takes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fusion_sfdia.learning.inspection.inspect.waiting", lambda plant, log: Waiting(9.0, 10, 1000, False))
     assert "time" in {f.about for f in inspect(chain(3), simulated=False).findings}

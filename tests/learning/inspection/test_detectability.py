@@ -8,7 +8,7 @@ import pytest
 from fusion_sfdia import Plant, simulate
 from fusion_sfdia.detectors import RobustBank, registry
 from fusion_sfdia.detectors.kalman_banks.identifiability import identifiability
-from fusion_sfdia.learning.inspection.promises import BIAS_WITHIN, DRIFT_WITHIN, GROWTH, LEAST_BIAS, LEAST_DRIFT, promised
+from fusion_sfdia.learning.inspection.detectability import BIAS_WITHIN, DRIFT_WITHIN, GROWTH, LEAST_BIAS, LEAST_DRIFT, promised
 from fusion_sfdia.plants import random_plant
 
 RUNS, MET = 20, 18

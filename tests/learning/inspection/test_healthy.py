@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fusion_sfdia import Sensor, Signal, linear_plant
-from fusion_sfdia.learning.inspection.feedthrough import feedthrough, of_feedthrough
+from fusion_sfdia.learning.inspection.healthy import feedthrough, of_feedthrough
 from fusion_sfdia.plant.log import Log
 
 PLANT = linear_plant(
