@@ -33,8 +33,7 @@ from fusion_sfdia.diagnosis.events import (
     throughout,
     verdict,
 )
-from fusion_sfdia.diagnosis.hindsight import hindsight, left_out
-from fusion_sfdia.diagnosis.hindsight_steps import Residuals
+from fusion_sfdia.diagnosis.hindsight import Residuals, hindsight, left_out
 from fusion_sfdia.diagnosis.model_health import Health, health_of
 from fusion_sfdia.diagnosis.sensor_events import alarm_rate_of, explained
 from fusion_sfdia.diagnosis.sentences import Wording, by_importance, counted, kind_of, sentence, wordings

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from fusion_sfdia.diagnosis.hindsight_steps import Hindsight
+from fusion_sfdia.diagnosis.hindsight import Hindsight
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.slow_noise import inflation_of
 

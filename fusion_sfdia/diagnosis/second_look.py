@@ -16,8 +16,7 @@ from fusion_sfdia.detectors.detector import Decision, Detector, stack
 from fusion_sfdia.diagnosis.absent import DUE, REPEATED, beyond_resolution, repeats
 from fusion_sfdia.diagnosis.diagnose import Diagnosis, against_the_model, model_of
 from fusion_sfdia.diagnosis.events import TOGETHER, Event, events_of, spans
-from fusion_sfdia.diagnosis.hindsight import LEAD, looked
-from fusion_sfdia.diagnosis.hindsight_steps import Hindsight, begun
+from fusion_sfdia.diagnosis.hindsight import LEAD, Hindsight, begun, looked
 from fusion_sfdia.diagnosis.lag import latest
 from fusion_sfdia.diagnosis.model_health import Health, health_of
 from fusion_sfdia.diagnosis.sensor_events import alarm_rate_of, explained

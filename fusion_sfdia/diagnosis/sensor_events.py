@@ -16,7 +16,7 @@ from fusion_sfdia.detectors.detector import Decision, Detector, chosen
 from fusion_sfdia.diagnosis.absent import dropouts, due
 from fusion_sfdia.diagnosis.events import EVEN, TOGETHER, Event
 from fusion_sfdia.diagnosis.fault_kinds import FEW, POSSIBLE, QUIET, Named, name, noise_of, resized
-from fusion_sfdia.diagnosis.hindsight_steps import Residuals
+from fusion_sfdia.diagnosis.hindsight import Residuals
 
 Array = NDArray[Any]
 

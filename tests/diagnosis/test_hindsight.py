@@ -12,10 +12,8 @@ from rounding import rounding
 from toy_plants import chain, readings, tanks
 
 from fusion_sfdia.detectors.kalman_banks import steady_gains
-from fusion_sfdia.diagnosis import hindsight_steps
-from fusion_sfdia.diagnosis.hindsight import hindsight, left_out
-from fusion_sfdia.diagnosis.hindsight_parts import _batch_step as batch_step
-from fusion_sfdia.diagnosis.hindsight_steps import Hindsight
+from fusion_sfdia.diagnosis.hindsight import Hindsight, hindsight, left_out
+from fusion_sfdia.diagnosis.hindsight import _batch_step as batch_step
 from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.filters.estimators import Extended, GaussianState, step_stream
 from fusion_sfdia.filters.gaussian import condition
@@ -87,7 +85,7 @@ def test_after_the_filter_breaks_down_nothing_is_known() -> None:
 
 def of_parts(monkeypatch: pytest.MonkeyPatch, plant: Plant, track: Track, out: Array) -> tuple[Hindsight, Hindsight, int]:
     """In parts and in order, and how many steps were batches."""
-    module, batches = "fusion_sfdia.diagnosis.hindsight_parts", []
+    module, batches = "fusion_sfdia.diagnosis.hindsight", []
 
     def counted(*arguments: Any) -> Any:
         batches.append(1)
@@ -168,7 +166,7 @@ def test_gains_at_rest_give_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
         rests.append(gains.used)
         return steady_gains.predicted(of, gains, *rest)
 
-    monkeypatch.setattr(hindsight_steps, "predicted", counted)
+    monkeypatch.setattr("fusion_sfdia.diagnosis.hindsight.predicted", counted)
     found = hindsight(plant, track, out)
     assert len(rests) > 200 and {tuple(np.flatnonzero(~used)) for used in rests} == {(), (2,), (4,)}
     tolerance = 10 * steady_gains.SAME  # of standard deviations

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from scipy.special import ndtr, ndtri
 from toy_plants import chain
 
-from fusion_sfdia.diagnosis.hindsight_steps import Hindsight
+from fusion_sfdia.diagnosis.hindsight import Hindsight
 from fusion_sfdia.diagnosis.model_health import Health, health_of, limit_of
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.signals import Sensor

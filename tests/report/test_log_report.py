@@ -23,7 +23,7 @@ from fusion_sfdia.detectors.detector import joined
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.diagnosis.diagnose import Diagnosis, diagnose_run
-from fusion_sfdia.diagnosis.hindsight_steps import Residuals
+from fusion_sfdia.diagnosis.hindsight import Residuals
 from fusion_sfdia.diagnosis.sentences import Wording
 from fusion_sfdia.logs.columns import Source
 from fusion_sfdia.logs.conversion import conversion

@@ -8,6 +8,7 @@ import shutil
 import tempfile
 from collections import deque
 from collections.abc import Callable
+from ctypes import POINTER, c_double, c_uint32, cast
 from dataclasses import dataclass, fields
 from functools import cached_property
 from hashlib import sha256
@@ -20,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.plant.fmu.interface import MODEL_EXCHANGE, Interface, events, fmpy
-from fusion_sfdia.plant.fmu.reals import Reals
 from fusion_sfdia.plant.integration import runge_kutta_4
 
 Array = NDArray[Any]
@@ -311,3 +311,40 @@ def _real(a: Array) -> Array:
     if np.asarray(a).dtype.kind not in "biuf":
         raise TypeError(f"an FMU takes real numbers, not {np.asarray(a).dtype}")
     return np.asarray(a, dtype=float)
+
+
+class Reals:
+    """Variables (k,) of an instance of FMPy by their value references; version: 2 or 3 of FMI."""
+
+    def __init__(self, model: Any, version: int, references: tuple[int, ...]) -> None:
+        self.size, self.component = len(references), model.component
+        self.references = (c_uint32 * self.size)(*references)
+        self.array: Array = np.zeros(self.size)
+        self.values = cast(self.array.ctypes.data, POINTER(c_double))
+        self.each = [(c_uint32 * 1)(reference) for reference in references]
+        self.last = () if version == 2 else (self.size,)  # FMI 3.0 also states the number of values
+        self.seed = ((c_double * 1)(1.0), 1)[: version - 1]
+        kind = "Real" if version == 2 else "Float64"
+        self.getter, self.setter = (getattr(model, f"fmi{version}{verb}{kind}") for verb in ("Get", "Set"))
+        self.directional = getattr(model, f"fmi{version}GetDirectionalDerivative")
+
+    def read(self) -> Array:
+        """Their values (k,)."""
+        if self.size:
+            self.getter(self.component, self.references, self.size, self.values, *self.last)
+        return self.array.copy()
+
+    def write(self, values: Array) -> None:
+        """Set them to values (k,)."""
+        if self.size:
+            self.array[:] = values
+            self.setter(self.component, self.references, self.size, self.values, *self.last)
+
+    def derivatives(self, known: Reals) -> Array:
+        """Their derivatives with respect to others (k, m), as the FMU gives them, one direction at a time."""
+        found = np.empty((self.size, known.size))
+        if self.size:
+            for j, by in enumerate(known.each):
+                self.directional(self.component, self.references, self.size, by, 1, *self.seed, self.values, *self.last)
+                found[:, j] = self.array
+        return found

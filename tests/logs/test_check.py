@@ -14,9 +14,9 @@ from fusion_sfdia.detectors import registry
 from fusion_sfdia.diagnosis.fault_draws import draw_apart
 from fusion_sfdia.diagnosis.fault_effects import apply_faults
 from fusion_sfdia.diagnosis.simulate import Recording, simulate
+from fusion_sfdia.logs.check import suspected_units
 from fusion_sfdia.logs.loaded_log import REMARKABLE
 from fusion_sfdia.logs.mix_ups import mix_up
-from fusion_sfdia.logs.suspects import suspected_units
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plants import two_tanks
