@@ -67,9 +67,9 @@ def shared_fixtures() -> Path:
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures of this process are empty: for tests of other things, which take most of their time to draw."""
     from fusion_sfdia.report import log_page, log_report
-    from fusion_sfdia.study.experiments import drawing
+    from fusion_sfdia.study.experiments import runner
 
-    for module in (drawing, log_report):
+    for module in (runner, log_report):
         monkeypatch.setattr(module, "write_figure", lambda *_, **__: "<svg></svg>")
     empty = log_page.Drawn("", Markup("<svg></svg>"), "", "{}")
     monkeypatch.setattr(log_page, "_drawn", lambda *_: empty)

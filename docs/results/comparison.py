@@ -14,7 +14,7 @@ from pathlib import Path
 
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.report.figure_files import figure_svg
-from fusion_sfdia.study.comparison.loss_figure import Losses, draw_loss
+from fusion_sfdia.study.comparison.figures import Losses, draw_loss
 from fusion_sfdia.study.comparison.protocol import COSTS
 from fusion_sfdia.study.comparison.result_tables import cost_words
 

@@ -306,7 +306,7 @@ def hindsight(model: Plant, track: Track, out: Array, each: Callable[[Sequence[i
     filter has no finite value any more, everything after is NaN.
 
     A long log is cut into parts, which are filtered side by side as a batch, where the model is the same at all times: see
-    `hindsight_parts`. One of a large linear plant is filtered with gains at rest.
+    `beginning`. One of a large linear plant is filtered with gains at rest.
     """
     count, n = out.shape
     found, start, steps, run = unknown(count, n), begun(model), Steps(track, out), OneRun(model)

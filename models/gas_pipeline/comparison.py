@@ -24,7 +24,7 @@ from fusion_sfdia.models.gas_pipeline.plant import demand, gas_pipeline
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.results import Published
 from fusion_sfdia.study.cases import ComparisonCases, MismatchCase, PaperFault, ProcessFaultCase, in_operation
-from fusion_sfdia.study.other_truths import double_spread, fluctuating, trending
+from fusion_sfdia.study.truths import double_spread, fluctuating, trending
 
 Array = NDArray[Any]
 

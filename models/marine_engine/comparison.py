@@ -20,7 +20,7 @@ from fusion_sfdia.models.marine_engine.published import THREE_FAULTS, PublishedO
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.results import Published
 from fusion_sfdia.study.cases import ComparisonCases, MismatchCase, PaperFault, ProcessFaultCase, PublishedDelay
-from fusion_sfdia.study.other_truths import double_spread, fluctuating, trending
+from fusion_sfdia.study.truths import double_spread, fluctuating, trending
 
 Array = NDArray[Any]
 

@@ -22,7 +22,7 @@ from fusion_sfdia.models.power_network.published import GOVERNOR
 from fusion_sfdia.models.power_network.unknown import altered
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.study.cases import ComparisonCases, MismatchCase, ProcessFaultCase, PublishedDelay, in_operation
-from fusion_sfdia.study.other_truths import double_spread, fluctuating, trending
+from fusion_sfdia.study.truths import double_spread, fluctuating, trending
 
 Array = NDArray[Any]
 

@@ -22,7 +22,7 @@ from fusion_sfdia.models.two_tanks.plant import (
 from fusion_sfdia.plant.discretise import discretise
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.study.cases import ComparisonCases, MismatchCase, ProcessFaultCase
-from fusion_sfdia.study.other_truths import double_spread, fluctuating, trending
+from fusion_sfdia.study.truths import double_spread, fluctuating, trending
 
 Array = NDArray[Any]
 

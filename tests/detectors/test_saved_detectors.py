@@ -85,7 +85,7 @@ def test_another_plant_or_file_is_refused(tmp_path: Path) -> None:
         ("os:system", "holds a system of 'os', which is no detector or setting of this package"),
         ("/elsewhere/mine.py:Mine", "holds a Mine of '/elsewhere/mine.py', which is no detector or setting of this package"),
         ("fusion_sfdia.__main__:main", "holds a main of 'fusion_sfdia.__main__', which is no detector or setting"),
-        ("fusion_sfdia.study.experiments.output:Command", "which is no detector or setting of this package"),
+        ("fusion_sfdia.study.experiments.runner:Command", "which is no detector or setting of this package"),
         ("fusion_sfdia.plant.log:one_run", "is no class of settings"),
         ("fusion_sfdia.plant.log:Plant", "is no class of settings"),
         ("fusion_sfdia.plant.plant:Uncertainty", "is no class of settings"),

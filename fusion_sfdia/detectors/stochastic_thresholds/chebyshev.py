@@ -2,9 +2,33 @@
 
 A plant that states its areas has a diagnoser in each, with consensus on the states that they share (consensus_equations); any
 other plant has one diagnoser (present_readings). Sensors are isolated by the sizes of a constant fault that explain all
-residuals that it affects (bias_hypotheses), left out, and readmitted when they are healthy again (exclusion). B18 does not
+residuals that it affects, left out, and readmitted when they are healthy again (exclusion). B18 does not
 isolate sensors: a diagnoser there needs only brackets and drives from the other areas. Isolation of a sensor needs the
 residuals of its area and of the areas that share its variable.
+
+Kougiatsos and Reppa 2024 bound the residual of each module of a plant that states its scalar equations (adaptive_threshold).
+With the rule "bound" the prediction of `present_readings` has a bound e of the error of each state instead of its variance,
+
+    e+ = |F| e + w,   |y - y_hat| <= |H| e+ + d,   e = |1 - W H| e+ + |W| d        with W the gain, d and w the bounds of noise
+
+This is exact for linear physics. For nonlinear physics it is of first order in the errors and not a guaranteed bound.
+
+Hypotheses of faults: a fault b of sensor i changes the residuals of the last and of this step by known shares of b, which
+depend on its onset:
+
+    onset now           0, then e_i
+    onset a step ago    e_i, then (1 - M + L) e_i
+    onset long ago      (1 - L)^-1 (1 - M) e_i in both steps
+
+where M is the derivative of the expected readings by the readings of the last step, and -L the derivative by its residuals. The
+reach of a sensor is its own residual and all residuals that depend on it through M or L: in a network, those of its area and of
+the areas that share its variable.
+
+The sizes b for which a residual less share b is within its threshold are an interval. The intersection over the reach and both
+steps contains the sizes that explain all of these residuals. A sensor with an empty intersection is excluded; if all sensors
+are excluded, the fault is none of these. Of the other sensors that explain an alarm, the one with the largest log-likelihood
+ratio to "no fault" is isolated, then the best of those whose reach does not overlap with that of the first, and so on: faults
+far from each other are isolated in one step.
 """
 
 from __future__ import annotations
@@ -18,14 +42,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import floats, number, shown, whole
+from fusion_sfdia.common.covariance import diagonal
 from fusion_sfdia.detectors.batch_detector import AccommodatingDetector, TimeStep, without_false_alarms
 from fusion_sfdia.detectors.detector import Decision, run
 from fusion_sfdia.detectors.exclusion import Exclusion, exclude, none_excluded, readmit, restored
 from fusion_sfdia.detectors.stochastic_thresholds.area_diagnosers import AreaDiagnosers
-from fusion_sfdia.detectors.stochastic_thresholds.bias_hypotheses import StepResiduals, explain
-from fusion_sfdia.detectors.stochastic_thresholds.bounded_readings import BoundedReadings
 from fusion_sfdia.detectors.stochastic_thresholds.consensus import MODES
-from fusion_sfdia.detectors.stochastic_thresholds.present_readings import PredictedReadings, PresentReadings, ReadingPredictor
+from fusion_sfdia.detectors.stochastic_thresholds.present_readings import (
+    PredictedReadings,
+    PresentMemory,
+    PresentReadings,
+    ReadingPredictor,
+    Taken,
+)
 from fusion_sfdia.detectors.stochastic_thresholds.threshold_rules import (
     BOUND,
     CONFORMAL,
@@ -45,6 +74,8 @@ CUBATURE = SigmaPoints(alpha=1.0, beta=0.0)
 PAPER_ALPHA, PAPER_LAMBDA = 2.0, 0.3  # B18, sec. VIII
 AT_ONCE = 32  # runs whose alarms are explained together
 READMISSION = 1e-3  # probability with which a sensor that is still faulty is readmitted: exp(-level) of the evidence
+ROUNDING = 1e-12  # relative widening of bounds: far more than the rounding of a step
+WITHIN = 3.0  # standard deviations, the bound of a noise without a stated bound; chosen here, not published
 
 
 class ChebyshevMemory(NamedTuple):
@@ -75,7 +106,7 @@ class Chebyshev(AccommodatingDetector):
         Of `threshold_rules`. The rule "conformal" needs alpha from `fit_thresholds`.
     alpha : float or sequence of float (N,), optional
         Thresholds in standard deviations, one number or one for each sensor. With neither alpha nor false_alarm, alpha is 2 as
-        in B18, or 1 with the rule "bound", whose thresholds are the largest effect of bounded noise (bounded_readings, one
+        in B18, or 1 with the rule "bound", whose thresholds are the largest effect of bounded noise (`BoundedReadings`, one
         diagnoser for the whole plant).
     false_alarm : float, optional
         Instead of alpha: the largest probability of a false alarm of a diagnoser in a step, shared by its sensors.
@@ -315,3 +346,142 @@ class Chebyshev(AccommodatingDetector):
             absorbed[few] = np.where(late, np.where(found.low > 0, found.low, found.high), 0.0)
             uncertainty[few] = np.where(late, found.high - found.low, 0.0)
         return isolated, absorbed, uncertainty
+
+
+@dataclass(frozen=True)
+class BoundedReadings(PresentReadings):
+    """The diagnoser of a plant with the bounds e in its memory; `deviation` is a bound of the residual."""
+
+    @cached_property
+    def _noise(self) -> Array:
+        """The bounds d (N,)."""
+        stated = np.array([s.noise_bound for s in self.plant.sensors])
+        return np.where(np.isfinite(stated), stated, WITHIN * self.plant.sensor_sigma)
+
+    def _disturbance(self, dt: float) -> Array:
+        """The bounds w (n,) over dt."""
+        plant = self.plant
+        if plant.process_bound is not None:
+            return np.broadcast_to(plant.process_bound, (len(plant.states),)) * (dt / plant.dt)
+        return np.asarray(WITHIN * np.sqrt(diagonal(plant.process_cov_over(dt))))
+
+    def start(self, batch: tuple[int, ...], seed: int) -> PresentMemory:
+        """As of PresentReadings, with the bound of x0's error."""
+        error = WITHIN * np.sqrt(diagonal(self.plant.initial_cov))
+        whole = np.broadcast_to(error, (*batch, len(self.plant.states))).copy()
+        return super().start(batch, seed)._replace(error=whole)
+
+    def predict(self, memory: PresentMemory, now: TimeStep, u: Array) -> PredictedReadings:
+        predicted = super().predict(memory, now, u)
+        every = np.ones(predicted.lost.shape, bool)
+        F = self._tangent(memory, predicted, now, u, every)
+        error = _bounded(F, memory.error) + self._disturbance(now.dt)
+        return self._widened(memory, predicted, error)
+
+    def take(self, predicted: PredictedReadings, y: Array) -> Taken:
+        taken = super().take(predicted, y)
+        W, H = taken.memory.gain, predicted.inner.readout
+        kept = np.eye(H.shape[-1]) - W @ H
+        error = _bounded(kept, predicted.inner.error) + np.abs(W) @ self._noise
+        return taken._replace(memory=taken.memory._replace(error=error))
+
+    def without_faults(
+        self, memory: PresentMemory, predicted: PredictedReadings, now: TimeStep, u: Array, size: Array, uncertainty: Array
+    ) -> PredictedReadings:
+        error = predicted.inner.error
+        rows = np.any(size != 0, axis=-1)
+        error[rows] += _bounded(self._tangent(memory, predicted, now, u, rows) @ memory.gain[rows], uncertainty[rows])
+        return self._widened(memory, super().without_faults(memory, predicted, now, u, size, uncertainty), error)
+
+    def _widened(self, memory: PresentMemory, predicted: PredictedReadings, error: Array) -> PredictedReadings:
+        """The predicted readings with bounds of their residuals (B, N) from bounds of the states' errors (B, n)."""
+        radius = (_bounded(predicted.inner.readout, error) + self._noise) * (1 + ROUNDING)
+        return predicted._replace(deviation=self.lam * memory.deviation + radius, inner=predicted.inner._replace(error=error))
+
+
+def _bounded(matrix: Array, bound: Array) -> Array:
+    """|matrix| bound (..., n) of matrices (..., n, m) and bounds (..., m)."""
+    return np.asarray((np.abs(matrix) @ bound[..., None])[..., 0])
+
+
+class StepResiduals(NamedTuple):
+    """Residuals (R, N) of a step, NaN where not evaluated, their standard deviations and thresholds (inf: not testable yet)."""
+
+    residual: Array
+    deviation: Array
+    threshold: Array
+
+
+class Explanation(NamedTuple):
+    """Result for each run and sensor, (R, N) each.
+
+    isolated: bool. low, high, size: interval and estimate of the fault under the best hypothesis of the sensor. late: whether
+    the fault began before this step, so that it affects the expected readings.
+    """
+
+    isolated: Array
+    low: Array
+    high: Array
+    size: Array
+    late: Array
+
+
+def explain(
+    before: StepResiduals, now: StepResiduals, from_readings: Array, from_residuals: Array, suspects: Array
+) -> Explanation:
+    """Return the explanation of the residuals of R runs by sensors among `suspects` (R, N) bool.
+
+    from_readings: M, from_residuals: L, both (R, N, N).
+    """
+    one = np.broadcast_to(np.eye(suspects.shape[-1]), from_readings.shape)
+    reach = (one != 0) | (from_readings != 0) | (from_residuals != 0)
+    fresh = one - from_readings
+    lasting = np.linalg.solve(one - from_residuals, fresh)
+    hypotheses = (0.0 * one, one), (one, fresh + from_residuals), (lasting, lasting)
+    found = [_sizes(before, now, np.where(reach, a, 0.0), np.where(reach, b, 0.0), reach) for a, b in hypotheses]
+    low, high, size, gain = (np.stack(parts) for parts in zip(*found, strict=True))
+    explains = (low <= high) & ~((low <= 0) & (high >= 0))
+    gain = np.where(explains & suspects, gain, -np.inf)
+    best = np.argmax(gain, axis=0)[None]
+    low, high, size, gain = (np.take_along_axis(a, best, axis=0)[0] for a in (low, high, size, gain))
+    return Explanation(_apart(gain, reach), low, high, size, best[0] > 0)
+
+
+def _apart(gain: Array, reach: Array) -> Array:
+    """Return (R, N) bool: the best sensor, then the best of those whose reach overlaps with that of no chosen one."""
+    isolated = np.zeros(gain.shape, bool)
+    runs, gain = np.arange(len(gain)), gain.copy()
+    while np.any(gain > -np.inf):
+        best = np.argmax(gain, axis=-1)
+        found = gain[runs, best] > -np.inf
+        isolated[runs[found], best[found]] = True
+        touched = np.any(reach & reach[runs, :, best][:, :, None], axis=-2)
+        gain = np.where(touched & found[:, None], -np.inf, gain)
+    return isolated
+
+
+def _sizes(
+    before: StepResiduals, now: StepResiduals, share_before: Array, share_now: Array, reach: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Return (R, N) each: low and high end of the fault sizes that explain the residuals, the best size, twice its
+    log-likelihood ratio.
+    """
+    residual, deviation, threshold = (np.concatenate(parts, axis=-1)[..., None] for parts in zip(before, now, strict=True))
+    share = np.concatenate([share_before, share_now], axis=-2)
+    known = np.isfinite(residual) & np.isfinite(threshold) & np.concatenate([reach, reach], axis=-2)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        ends = (residual - threshold) / share, (residual + threshold) / share
+        without = np.where(
+            np.abs(residual) > threshold, -np.inf, np.inf
+        )  # where the share is 0: explained by any size, or by none
+        least = np.where(share == 0.0, -without, np.minimum(*ends))
+        most = np.where(share == 0.0, without, np.maximum(*ends))
+    low = np.max(np.where(known, least, -np.inf), axis=-2)
+    high = np.min(np.where(known, most, np.inf), axis=-2)
+    weight = np.where(known, 1.0 / np.where(known, deviation, 1.0) ** 2, 0.0)
+    value = np.where(known, residual, 0.0)
+    square, product = np.sum(weight * share**2, axis=-2), np.sum(weight * share * value, axis=-2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        size = np.clip(product / square, low, high)
+        gain = 2 * size * product - size**2 * square
+    return low, high, size, np.where(np.isfinite(gain), gain, -np.inf)

@@ -3,19 +3,25 @@
 Each worker keeps its areas and their diagnosers and obtains their readings. A step is one call of every part. It returns the
 alarms and the copies at the borders, which the neighbours receive with the next call. Workers on processors of the same kind
 give the same bits as one process.
+
+A part computes the states of its areas with all their copies, including copies that areas in other parts read: it receives
+these readings, too, and sends the results for these copies to the other parts. Each step of a part needs one message from each
+neighbouring part, with four numbers for every copy at the border. The results have the same bits as the whole network in one
+process on a processor of the same kind.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.detectors.stochastic_thresholds import consensus_equations
 from fusion_sfdia.detectors.stochastic_thresholds.consensus import Diagnosers, NetworkReadings, require_mode
-from fusion_sfdia.detectors.stochastic_thresholds.network_part import Part, PartLayout, at_borders, part_layouts, routes, share
-from fusion_sfdia.plant.areas import Areas
+from fusion_sfdia.detectors.stochastic_thresholds.network_step import terms_of
+from fusion_sfdia.plant.areas import AreaArrays, Areas
 
 Array = NDArray[Any]
 Source = Callable[[int, tuple[int, int], Array], NetworkReadings]
@@ -106,3 +112,96 @@ class ReadingPart:
 
     def kept(self) -> Diagnosers:
         return self._part.kept()
+
+
+class PartLayout(NamedTuple):
+    """The network of a part, constant over time. All indices are local, except those in `areas` and `sides`.
+
+    arrays: of M areas and their sides, then of the K copies read in other parts; reader is M + k for that of copy k, which
+    is in another part. border: local sides whose neighbour is in another part, which sends their values. near: index of the
+    first copy read in another part. areas: first and past last area in the network. sides: indices in the network of the local
+    sides.
+    """
+
+    arrays: AreaArrays
+    border: Array
+    near: int
+    areas: tuple[int, int]
+    sides: Array
+
+
+def part_layouts(areas: Areas, parts: int) -> list[PartLayout]:
+    """Return the network in `parts` blocks of equal size; ValueError for less than one part or more parts than areas."""
+    count = areas.size[0]
+    if not 1 <= parts <= count:
+        raise ValueError(f"{count} areas cannot be shared by {parts} parts; expected 1 to {count}")
+    at = areas.network.topology
+    bounds = np.linspace(0, count, parts + 1).astype(np.int64)
+    whole = areas.arrays
+    found = []
+    for lo, hi in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
+        first, past = int(at.start[lo]), int(at.start[hi])
+        other = at.opposite[first:past]
+        elsewhere = (other < first) | (other >= past)
+        sides = np.concatenate([np.arange(first, past), other[elsewhere]])
+        copy = np.cumsum(elsewhere) - 1
+        opposite = np.where(elsewhere, past - first + copy, other - first)
+        reader = np.where(elsewhere, hi - lo + copy, at.neighbour[first:past] - lo)
+        of_areas = {k: getattr(whole, k)[lo:hi].copy() for k in ("matrices", "process_variance", "noise")}
+        of_sides = {k: getattr(whole, k)[sides] for k in ("slope", "closed", "shared_noise", "received")}
+        near = {"start": at.start[lo : hi + 1] - first, "opposite": opposite, "reader": reader}
+        arrays = AreaArrays(**of_areas, **of_sides, **near)
+        found.append(PartLayout(arrays, np.flatnonzero(elsewhere), past - first, (lo, hi), sides))
+    return found
+
+
+def routes(parts: Sequence[PartLayout]) -> list[Array]:
+    """Return for each part the indices of its received values among the copies of all parts that are read in other parts."""
+    sent = np.concatenate([p.sides[p.near :] for p in parts])
+    order = np.argsort(sent)
+    return [order[np.searchsorted(sent, p.sides[p.border], sorter=order)] for p in parts]
+
+
+def share(layout: PartLayout, state: Diagnosers) -> Diagnosers:
+    """Return the diagnosers of a layout from those of the whole network."""
+    lo, hi = layout.areas
+    return Diagnosers(*((a[:, layout.sides] if a.ndim == 2 else a[:, lo:hi]).copy(order="C") for a in state))
+
+
+def at_borders(parts: Sequence[PartLayout], state: Diagnosers) -> Array:
+    """Return (4, B, K): held, error_bound, residual, deviation of the copies read in other parts, part after part."""
+    return np.concatenate([np.stack([a[:, p.sides[p.near :]] for a in state.shared]) for p in parts], axis=-1)
+
+
+class Part:
+    """The diagnosers of a layout for a batch of B runs, from their state; two sets of arrays are used alternately."""
+
+    def __init__(self, layout: PartLayout, state: Diagnosers, alpha: float, lam: float, printed: bool) -> None:
+        self.layout, self.alpha, self.lam, self.printed = layout, alpha, lam, printed
+        self._now, self._before = state, Diagnosers(*map(np.zeros_like, state))
+        self._terms = terms_of(layout.arrays, "paper" if printed else "corrected")
+
+    def step(self, received: Array, given: NetworkReadings) -> tuple[Array, Array, Array]:
+        """Return alarms of its areas (B, M), alarms of the copies read in other parts (B, K), and the results for these (4, B,
+        K).
+
+        received (4, B, border): held, error_bound, residual, deviation, from other parts after the previous step. given: of its
+        M areas; shared readings at its sides, then of the copies read in other parts.
+        """
+        b, state = self.layout, self._now
+        for a, new in zip(state.shared, received, strict=True):
+            a[:, b.border] = new
+        after = self._before
+        count = len(b.arrays.matrices)
+        alarm = np.zeros((len(state.held), count + b.border.size), bool)
+        consensus_equations.step_areas(
+            state, given.reference, given.load, self.lam, self.printed, b.arrays, self._terms, self.alpha, given.own,
+            given.shared, after, alarm,
+        )  # fmt: skip
+        self._now, self._before = after, state
+        copies = np.stack([a[:, b.near :] for a in after.shared])
+        return alarm[:, :count], alarm[:, count:], copies
+
+    def kept(self) -> Diagnosers:
+        """Return its memory; complete at the border sides only after the next `received`."""
+        return self._now

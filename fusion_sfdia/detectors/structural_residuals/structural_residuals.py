@@ -1,12 +1,13 @@
 """Detector: residuals of structural analysis with limits from healthy data, and consistency-based diagnosis.
 
-The equations fall into minimal overdetermined sets (see structure); of a selection of them (see selection) one residual each is
-computed (see sequences). One that exceeds its limit is a conflict: not all sensors that it reads are healthy. A diagnosis is a
-set of sensors that meets every conflict (Reiter 1987; de Kleer and Williams 1987).
+The equations fall into minimal overdetermined sets (see structure); of a selection of them (see `selected`) one residual each
+is computed (see sequences). One that exceeds its limit is a conflict: not all sensors that it reads are healthy. A diagnosis is
+a set of sensors that meets every conflict (Reiter 1987; de Kleer and Williams 1987).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -20,15 +21,15 @@ from fusion_sfdia.common.errors import NotApplicableError
 from fusion_sfdia.common.order_statistics import order_statistic
 from fusion_sfdia.detectors.batch_detector import IsolatingDetector, TimeStep
 from fusion_sfdia.detectors.detector import Decision, check_reading
-from fusion_sfdia.detectors.structural_residuals.selection import reads, selected
 from fusion_sfdia.detectors.structural_residuals.sequences import Sequences
-from fusion_sfdia.detectors.structural_residuals.structure import Residual, modules_of
+from fusion_sfdia.detectors.structural_residuals.structure import Residual, computable, modules_of
 from fusion_sfdia.logs.log_forms import as_log
 from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 
 CONTRADICTION = 1e6  # standard deviations: the residual of readings at which the equations have no value
+FORGETTING = 1 - 1e-9  # a step must shrink an error by more than rounding; an integrator keeps it
 
 
 class StructuralMemory(NamedTuple):
@@ -278,3 +279,57 @@ class StructuralResiduals(IsolatingDetector):
             known = ~(lost & others).any(axis=-1) & np.isfinite(computed[:, k])
             reconstruction[:, i] = np.where(lost[:, i] & known, computed[:, k], reconstruction[:, i])
         return reconstruction
+
+
+def usable(plant: Plant) -> tuple[Residual, ...]:
+    """Return the computable residuals whose states forget their errors, the simplest first; raises as `structural_model`.
+
+    Stability is that of a step of plant.dt at the nominal values. A target that is a state without it, as where a level
+    integrates measured flows, gets the feedback of its observer. A residual that would integrate the noise of other
+    sensors without bound is not used.
+    """
+    found = computable(plant)
+    forget = _forget(plant, found)
+    found = tuple(r if ok else replace(r, feedback=r.target in r.integrated) for r, ok in zip(found, forget, strict=True))
+    return tuple(r for r, ok in zip(found, _forget(plant, found), strict=True) if ok)
+
+
+def _forget(plant: Plant, residuals: tuple[Residual, ...]) -> Array:
+    if not residuals:
+        return np.zeros(0, bool)
+    u = np.array([s.nominal for s in plant.inputs])
+    return Sequences(modules_of(plant), residuals).forgetting(u, plant.dt) < FORGETTING
+
+
+def reads(plant: Plant, residuals: Sequence[Residual]) -> Array:
+    """Return the fault signature matrix (R, N): which residuals read which sensors."""
+    found = [[s.measures in r.read for s in plant.sensors] for r in residuals]
+    return np.array(found, bool).reshape(len(residuals), len(plant.sensors))
+
+
+def isolable(signatures: Array) -> Array:
+    """Return whether fault i is isolable from fault j (N, N): a residual (R, N) reads sensor i and not j. On the diagonal:
+    whether fault i is detectable.
+    """
+    others = ~signatures[:, None, :] | np.eye(signatures.shape[1], dtype=bool)
+    return np.asarray((signatures[:, :, None] & others).any(axis=0))
+
+
+def selected(plant: Plant) -> tuple[Residual, ...]:
+    """Return, for each pair of sensors, the simplest usable residual that reads the one and not the other; raises as `usable`.
+
+    The simplest has the fewest sensors, then the first of the two as its target, then the fewest equations. Together they
+    isolate what all usable ones do. Few sensors rather than few residuals, as a minimal hitting set would have
+    (`TestSelection` of the toolbox): each sensor that is read adds its noise and hides part of the other sensors'
+    faults. The fault of a target enters the residual in full, that of another sensor as far as the equations transmit it.
+    """
+    residuals = usable(plant)
+    signatures = reads(plant, residuals)
+    chosen = set()
+    for i, sensor in enumerate(plant.sensors):
+        simplest = sorted(
+            np.flatnonzero(signatures[:, i]), key=lambda k: (len(residuals[k].read), residuals[k].target != sensor.measures)
+        )
+        for j in range(len(plant.sensors)):
+            chosen.update([k for k in simplest if j == i or not signatures[k, j]][:1])
+    return tuple(residuals[k] for k in sorted(chosen))

@@ -4,7 +4,7 @@ A sensor that reads in steps gets that resolution, and one that scatters clearly
 three stages, each on the result of the one before: declared parameters and errors of inputs (`parameters`), directions of
 mismatch of which nothing is declared (`disturbances`), process and sensor noise (`noise_likelihood`). Each is learnt from one
 half of the log and judged by the likelihood of the other half, and the reverse; what is kept is then learnt from the whole
-log. Where the innovations of a sensor are still slow, that is the slow part of its noise (`learnt_slow_noise`).
+log. Where the innovations of a sensor are still slow, that is the slow part of its noise (`with_slow_noise`).
 """
 
 from __future__ import annotations

@@ -10,9 +10,9 @@ left out from there, see `diverged`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from fusion_sfdia.study.comparison.subjects import ComparedPlant, cases_of, plan
 from fusion_sfdia.study.experiments.scenario import Arrays, Settings
 
 Array = NDArray[Any]
+T = TypeVar("T")
 
 LEAST_ERROR = 1e-3  # sigma of the noise: less is as good as none
 PER_SEED = {"trunk": 1, "swept": 2, "deployed_alarms": 0}  # the axis of seeds; of the rest it is 1 where there are two axes
@@ -236,3 +237,11 @@ def within(e: Estimate, least: float, most: float) -> Estimate:
 def root(e: Estimate) -> Estimate:
     """The square root of a mean square."""
     return Estimate(float(np.sqrt(e.value)), float(np.sqrt(max(e.low, 0.0))), float(np.sqrt(e.high)), e.n)
+
+
+Cells = Mapping[tuple[str, str], ComparisonCell]  # by plant and detector
+
+
+def of_plant(found: Mapping[tuple[str, str], T], plant: str) -> dict[str, T]:
+    """The part of one plant of what is known by plant and detector, by detector."""
+    return {detector: one for (where, detector), one in found.items() if where == plant}

@@ -12,13 +12,13 @@ from fusion_sfdia.report.results import Row
 from fusion_sfdia.report.scenario_sentences import span
 from fusion_sfdia.study.comparison.cell import ComparisonCell
 from fusion_sfdia.study.comparison.conclusions import plant_findings
-from fusion_sfdia.study.comparison.example_figure import example_figure
 from fusion_sfdia.study.comparison.figures import (
     draw_confusion,
     draw_cost,
     draw_magnitudes,
     draw_panels,
     draw_roc,
+    example_figure,
     mismatch_panels,
     other_panels,
 )

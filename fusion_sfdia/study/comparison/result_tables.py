@@ -9,8 +9,7 @@ import numpy as np
 from fusion_sfdia.common.run_statistics import Estimate
 from fusion_sfdia.report.content import Interval, ResultTable
 from fusion_sfdia.report.results import Row
-from fusion_sfdia.study.comparison.cell import ComparisonCell
-from fusion_sfdia.study.comparison.figures import Cells, of_plant
+from fusion_sfdia.study.comparison.cell import Cells, ComparisonCell, of_plant
 from fusion_sfdia.study.comparison.metric_rows import (
     best_isolation,
     exact_isolation,

@@ -11,14 +11,12 @@ import numpy as np
 
 from fusion_sfdia.report.content import Figure, Summary
 from fusion_sfdia.report.results import Row
-from fusion_sfdia.study.comparison.cell import ComparisonCell, mean
+from fusion_sfdia.study.comparison.cell import Cells, ComparisonCell, mean, of_plant
 from fusion_sfdia.study.comparison.chapters import plant_chapter, words_chapter
-from fusion_sfdia.study.comparison.conclusions import absent, findings, left_out, remarks
-from fusion_sfdia.study.comparison.figures import Cells, draw_overview, of_plant
+from fusion_sfdia.study.comparison.conclusions import absent, findings, left_out, opening, remarks
+from fusion_sfdia.study.comparison.figures import draw_overview, loss_figure
 from fusion_sfdia.study.comparison.loss import loss_parts
-from fusion_sfdia.study.comparison.loss_figure import loss_figure
 from fusion_sfdia.study.comparison.metric_rows import SCENARIO, best_isolation, glance, rows_of_cell
-from fusion_sfdia.study.comparison.opening import opening
 from fusion_sfdia.study.comparison.ranking import CRITERIA, RankedDetector, by_seed, ranking
 from fusion_sfdia.study.comparison.result_tables import EVERY, Standings, choices_table, ranks_table, standing_rows
 from fusion_sfdia.study.comparison.subjects import Subjects

@@ -5,44 +5,40 @@ The bits of metrics.csv do not depend on the number of workers: see `workers`. A
 
 from __future__ import annotations
 
+import json
 import platform
+import re
+import shlex
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from threadpoolctl import threadpool_limits
 
 import fusion_sfdia
-from fusion_sfdia.common.files import all_or_none, locked
+from fusion_sfdia.common.files import LOCK, TEMPORARY, all_or_none, atomic_write, locked, remove_leftovers, require_free
 from fusion_sfdia.common.plain_text import acting
-from fusion_sfdia.report.content import Summary
+from fusion_sfdia.report.content import Figure, Summary
+from fusion_sfdia.report.figure_files import write_figure
 from fusion_sfdia.report.page import Section, write_report
 from fusion_sfdia.report.results import Row, write_rows
 from fusion_sfdia.study.experiments.cluster import connected
-from fusion_sfdia.study.experiments.drawing import draw_figures
-from fusion_sfdia.study.experiments.output import (
-    Command,
-    open_output,
-    own_files,
-    read_manifest,
-    remove,
-    remove_other_parts,
-    write_manifest,
-)
-from fusion_sfdia.study.experiments.parts import part_name, read_part
+from fusion_sfdia.study.experiments.parts import PART_NAME, part_name, read_part
 from fusion_sfdia.study.experiments.provenance import cores, git_commit, sources_digest, versions
 from fusion_sfdia.study.experiments.scenario import Scenario, Settings, Task, adjust
-from fusion_sfdia.study.experiments.workers import Done, Piece, work_off
+from fusion_sfdia.study.experiments.workers import Done, Piece, in_processes, work_off
 
 WorkOff = Callable[[Sequence[Piece]], Iterator[Done]]
+MANIFEST = "manifest.json"
+OWN_FILE = re.compile(r"metrics\.csv|report\.html|figures/[a-z0-9-]+\.(svg|png)")
 
 
 @dataclass(frozen=True)
@@ -255,3 +251,117 @@ def _progress(total: int, done: int) -> Iterator[Progress]:
     with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
         bar.add_task("running", total=total, completed=done)
         yield bar
+
+
+class _Asked(NamedTuple):
+    """A figure, and the files folder/slug.svg and folder/slug.png to be written."""
+
+    folder: Path
+    slug: str
+    figure: Figure
+
+
+class _Drawn(NamedTuple):
+    """A figure's SVG, or the error that ended it."""
+
+    slug: str
+    svg: str
+    error: str | None
+
+
+def draw_figures(folder: Path, scenario: str, figures: Sequence[Figure], workers: int) -> tuple[dict[str, str], dict[str, str]]:
+    """Write the figures into a folder; the SVGs by the names of their files, and errors by the names of their figures.
+
+    Files have the same bytes for any number of workers. RuntimeError where a process is killed.
+    """
+    slugs = {figure.name: f"{scenario.replace('/', '-')}-{figure.name}" for figure in figures}
+    asked = [_Asked(folder, slugs[figure.name], figure) for figure in figures]
+    drawn = {found.slug: found for found in in_processes(_draw, asked, workers)}
+    svgs = {slug: drawn[slug].svg for slug in slugs.values() if drawn[slug].error is None}
+    return svgs, {name: error for name, slug in slugs.items() if (error := drawn[slug].error) is not None}
+
+
+def _draw(asked: _Asked) -> _Drawn:
+    """A figure, where it is drawn; an error is reported, not raised."""
+    try:
+        return _Drawn(asked.slug, write_figure(asked.folder, asked.slug, asked.figure.draw), None)
+    except Exception as problem:
+        return _Drawn(asked.slug, "", f"{type(problem).__name__}: {problem}")
+
+
+@dataclass(frozen=True)
+class Command:
+    """A run as defined by its command. Runs of one command may share a folder: the second reuses parts of the first."""
+
+    scenarios: tuple[str, ...]
+    seeds: int | None = None
+    full: bool = False
+    changes: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def text(self) -> str:
+        """The command line, without the folder and the number of workers."""
+        options = ["--full"] if self.full else [] if self.seeds is None else ["--seeds", str(self.seeds)]
+        for key, value in self.changes:
+            options += ["--set", f"{key}={value}"]
+        return shlex.join(["fusion-sfdia", "run", *self.scenarios, *options])
+
+
+def open_output(out: Path, command: Command, *, force: bool = False) -> None:
+    """Make the folder ready for a run, or raise ValueError where it is in use for something else.
+
+    Free to use: an absent or empty folder, and one of an earlier or interrupted run of the same command. force: also one
+    of another run, whose files stay until this one has its own, finished parts that both runs need for good, and one of
+    anything else, whose files stay unless they have our names.
+    """
+    require_free(out, force=True)
+    found = [p.name for p in out.iterdir() if not p.name.startswith((LOCK, TEMPORARY))] if out.exists() else []
+    earlier = read_manifest(out)
+    same = earlier is not None and earlier.get("command") == command.text
+    if found and not same and not force:
+        what, cure = "files that are not a run of fusion-sfdia", "write into it with --force"
+        if earlier is not None:
+            what = f"another run ({earlier.get('command')})"
+            cure = "replace that run with --force, which reuses its finished parts that this run needs"
+        raise ValueError(f"{out} is already used: it holds {what}; name another folder with --out, or {cure}")
+    kept = earlier if same and earlier else {"files": own_files(earlier or {})}
+    try:
+        write_manifest(out, {**kept, "command": command.text, "finished": False})
+        (out / "parts").mkdir(exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"cannot write into {out} ({error.strerror}); name another folder with --out") from error
+
+
+def read_manifest(out: Path) -> dict[str, Any] | None:
+    """Return the manifest of a folder; None where it holds none of this package."""
+    try:
+        manifest = json.loads((out / MANIFEST).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return manifest if isinstance(manifest, dict) and manifest.get("program") == "fusion-sfdia" else None
+
+
+def write_manifest(out: Path, manifest: dict[str, Any]) -> None:
+    """Write the manifest, whole or not at all."""
+    with atomic_write(out / MANIFEST) as file:
+        json.dump({"program": "fusion-sfdia", **manifest}, file, indent=2, ensure_ascii=False)
+        file.write("\n")
+
+
+def own_files(manifest: dict[str, Any]) -> list[str]:
+    """Return the files that a manifest lists, only those with names that a run writes."""
+    return [name for name in manifest.get("files", ()) if isinstance(name, str) and OWN_FILE.fullmatch(name)]
+
+
+def remove(out: Path, names: Iterable[str]) -> None:
+    """Remove files of a run."""
+    for name in names:
+        (out / name).unlink(missing_ok=True)
+
+
+def remove_other_parts(out: Path, keep: set[str]) -> None:
+    """Remove parts that do not belong to the run, and unfinished ones of killed processes."""
+    remove_leftovers(out / "parts")
+    for path in (out / "parts").glob("*"):
+        if path.name not in keep and PART_NAME.fullmatch(path.name):
+            path.unlink(missing_ok=True)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.detectors.adaptive_thresholds.fault_memory import FaultMemory
+from fusion_sfdia.detectors.adaptive_thresholds.virtual_sensors import FaultMemory
 
 Array = NDArray[Any]
 

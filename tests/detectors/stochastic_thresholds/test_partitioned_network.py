@@ -12,9 +12,15 @@ import numpy as np
 import pytest
 
 from fusion_sfdia.detectors.stochastic_thresholds.consensus import MODES, Diagnosers, NetworkReadings, initial_state
-from fusion_sfdia.detectors.stochastic_thresholds.network_part import Part, at_borders, part_layouts, routes, share
 from fusion_sfdia.detectors.stochastic_thresholds.network_step import network_step
-from fusion_sfdia.detectors.stochastic_thresholds.partitioned_network import PartitionedNetwork
+from fusion_sfdia.detectors.stochastic_thresholds.partitioned_network import (
+    Part,
+    PartitionedNetwork,
+    at_borders,
+    part_layouts,
+    routes,
+    share,
+)
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import network_model
 from fusion_sfdia.models.power_network.parameters import generate_network
@@ -136,3 +142,15 @@ def test_invalid_partitions_are_rejected(client: Any) -> None:
         PartitionedNetwork(client, AREAS, start, SOURCE, ALPHA, LAM, "papr")
     with pytest.raises(ValueError, match="no worker for a part"):
         PartitionedNetwork(client, AREAS, start, SOURCE, ALPHA, LAM, workers=[])
+
+
+def test_a_part_receives_no_more_than_its_border() -> None:
+    first, second, third = part_layouts(AREAS, 3)
+    at = AREAS.network.topology
+    for layout in (first, second, third):
+        lo, hi = layout.areas
+        inside = (at.node >= lo) & (at.node < hi)
+        crossing = inside & ~((at.neighbour >= lo) & (at.neighbour < hi))
+        assert layout.border.size == layout.sides.size - layout.near == crossing.sum()
+    with pytest.raises(ValueError, match="23 areas cannot be shared by 24 parts; expected 1 to 23"):
+        part_layouts(AREAS, 24)

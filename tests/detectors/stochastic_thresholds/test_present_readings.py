@@ -7,7 +7,7 @@ import pytest
 from toy_plants import bounded_chain, chain
 
 from fusion_sfdia.detectors.batch_detector import TimeStep
-from fusion_sfdia.detectors.stochastic_thresholds.bounded_readings import BoundedReadings
+from fusion_sfdia.detectors.stochastic_thresholds.chebyshev import BoundedReadings
 from fusion_sfdia.detectors.stochastic_thresholds.present_readings import PresentReadings
 from fusion_sfdia.filters.estimators import Extended
 from fusion_sfdia.plant.linear import linear_plant

@@ -6,8 +6,8 @@ import numpy as np
 from structural_plants import plant_of
 from toy_plants import Array
 
-from fusion_sfdia.detectors.structural_residuals.selection import usable
 from fusion_sfdia.detectors.structural_residuals.sequences import Sequences
+from fusion_sfdia.detectors.structural_residuals.structural_residuals import usable
 
 
 def test_sequences_evaluate_each_residual_as_if_it_were_alone() -> None:

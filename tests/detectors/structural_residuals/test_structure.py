@@ -7,7 +7,7 @@ import pytest
 from structural_plants import PLANTS, plant_of
 
 from fusion_sfdia.derivatives.equation import argument_names
-from fusion_sfdia.detectors.structural_residuals.selection import selected
+from fusion_sfdia.detectors.structural_residuals.structural_residuals import selected
 from fusion_sfdia.detectors.structural_residuals.structure import computable, residual_of, structural_model
 
 

@@ -12,7 +12,7 @@ from fusion_sfdia.detectors import LeaveOneOutBank
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plants import two_tanks
 from fusion_sfdia.study.comparison.example import NOTHING, PREFIX, RIGHT, SIGMAS, WRONG, example
-from fusion_sfdia.study.comparison.example_figure import VERDICTS, draw_example
+from fusion_sfdia.study.comparison.figures import VERDICTS, draw_example
 from fusion_sfdia.study.comparison.looks import MOST_NAMED, NAMED, looks, prominent, quieted
 
 WINDOW = 10

@@ -9,9 +9,8 @@ from made_up_cell import SETTINGS_HERE, cell, made_up
 from fusion_sfdia.common.run_statistics import Estimate
 from fusion_sfdia.study.comparison.cell import ComparisonCell
 from fusion_sfdia.study.comparison.chapters import extremes
-from fusion_sfdia.study.comparison.conclusions import MOST_LISTED, false_isolations
+from fusion_sfdia.study.comparison.conclusions import MOST_LISTED, advised, decided, false_isolations, opening, percent
 from fusion_sfdia.study.comparison.loss import loss
-from fusion_sfdia.study.comparison.opening import advised, decided, opening, percent
 from fusion_sfdia.study.comparison.ranking import RankedDetector
 from fusion_sfdia.study.comparison.result_tables import EVERY, choices_table
 from fusion_sfdia.study.comparison.summary import standings_of

@@ -12,13 +12,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure as Drawing
 from toy_scenario import TOY, toy
 
 from fusion_sfdia.common.files import all_or_none, locked
+from fusion_sfdia.report.content import Figure
 from fusion_sfdia.report.results import COLUMNS, Published, Row, as_json, read_rows, write_rows
-from fusion_sfdia.study.experiments.output import Command, open_output
 from fusion_sfdia.study.experiments.parts import part_name, read_part, write_part
-from fusion_sfdia.study.experiments.runner import run_scenarios
+from fusion_sfdia.study.experiments.runner import Command, draw_figures, open_output, run_scenarios
 from fusion_sfdia.study.experiments.scenario import adjust, seed_blocks
 
 PLAIN = {"figure": "no"}
@@ -395,3 +396,25 @@ def test_full_takes_the_settings_of_the_whole_paper(tmp_path: Path) -> None:
     assert adjust(one, {"size": "5"}, full=True)["size"] == 5
     run_scenarios([one], tmp_path, full=True, workers=1)
     assert manifest(tmp_path)["scenarios"][0]["settings"]["size"] == 3
+
+
+def plain() -> Drawing:
+    return Drawing(figsize=(1, 1))
+
+
+def broken() -> Drawing:
+    raise ZeroDivisionError("no runs")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_one_that_fails_leaves_the_others(tmp_path: Path, workers: int) -> None:
+    figures = [Figure(name, name, "", draw, "") for name, draw in (("a", plain), ("b", broken), ("c", plain))]
+    svgs, errors = draw_figures(tmp_path, "toy/mean", figures, workers)
+    assert errors == {"b": "ZeroDivisionError: no runs"}
+    assert list(svgs) == ["toy-mean-a", "toy-mean-c"]
+    assert all(svg == (tmp_path / f"{slug}.svg").read_text(encoding="utf-8") for slug, svg in svgs.items())
+    assert sorted(p.suffix for p in tmp_path.iterdir()) == [".png", ".png", ".svg", ".svg"]
+
+
+def test_without_figures_nothing_is_written(tmp_path: Path) -> None:
+    assert draw_figures(tmp_path / "none", "toy/mean", [], 2) == ({}, {}) and not (tmp_path / "none").exists()

@@ -11,7 +11,7 @@ from fusion_sfdia.models.two_tanks.plant import INFLOW, NOMINAL, STEP, two_tanks
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.study.comparison.recordings import simulated
 from fusion_sfdia.study.comparison.subjects import compared_plant
-from fusion_sfdia.study.other_truths import double_spread, finest, fluctuating, trending
+from fusion_sfdia.study.truths import double_spread, finest, fluctuating, trending
 
 X, U = np.array([[0.9, 1.1]]), np.array([INFLOW])
 
