@@ -4,6 +4,7 @@ The public names are listed in __init__.pyi; more stand in `plants`, `detectors`
 `learning` and `metrics`. Each is imported at its first use, so that importing the package is fast.
 """
 
+from functools import reduce
 from importlib import import_module
 from typing import Any
 
@@ -20,6 +21,9 @@ _RENAMED = {  # former names, until the next release
     "Audit": "metrics.AuditResult",
     "Whiteness": "learning.WhitenessTest",
     "Identifiability": "plants.IdentifiabilityResult",
+    "commissioned": "learning.Commissioning.of",
+    "choose_model": "learning.ModelChoice.of",
+    "calibrate": "learning.Calibration.of",
 }
 
 _names, _public, _ = public_names(__name__, __file__)
@@ -35,11 +39,12 @@ def __getattr__(name: str) -> Any:
     if (now := _RENAMED.get(name) or next(homes, "")) == "":
         return _public(name)  # which states the public names
     warn_renamed(f"fusion_sfdia.{name}", f"fusion_sfdia.{now}")
-    group, _, new = now.rpartition(".")
-    if not group:
-        return _public(new)
+    group, _, new = now.partition(".")
+    if not new:
+        return _public(group)
     home = import_module(f"{__name__}.{group}")
-    return getattr(home, new) if new in home.__all__ else import_module(f"{__name__}.{now}")
+    known = new.partition(".")[0] in home.__all__
+    return reduce(getattr, new.split("."), home) if known else import_module(f"{__name__}.{now}")
 
 
 def __dir__() -> list[str]:

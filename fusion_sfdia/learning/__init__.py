@@ -2,4 +2,10 @@
 
 from fusion_sfdia.common.public_names import public_names
 
-__all__, __getattr__, __dir__ = public_names(__name__, __file__)
+_FORMER = {  # former names, until the next release
+    "commissioned": "Commissioning.of",
+    "choose_model": "ModelChoice.of",
+    "calibrate": "Calibration.of",
+}
+
+__all__, __getattr__, __dir__ = public_names(__name__, __file__, _FORMER)

@@ -73,6 +73,13 @@ def test_a_former_name_warns_and_says_where_it_is() -> None:
         assert fusion_sfdia.inspect_plant is fusion_sfdia.inspect
     with pytest.warns(DeprecationWarning, match=r"fusion_sfdia.registry is now fusion_sfdia.detectors.registry"):
         assert fusion_sfdia.registry is sys.modules["fusion_sfdia.detectors.registry"]
+    learning = fusion_sfdia.learning
+    with pytest.warns(
+        DeprecationWarning, match=r"fusion_sfdia.learning.choose_model is now fusion_sfdia.learning.ModelChoice.of"
+    ):
+        assert learning.choose_model == learning.ModelChoice.of
+    with pytest.warns(DeprecationWarning, match=r"fusion_sfdia.commissioned is now fusion_sfdia.learning.Commissioning.of"):
+        assert fusion_sfdia.commissioned == learning.Commissioning.of
 
 
 def test_no_public_name_is_that_of_a_module_of_its_package(root: Path) -> None:

@@ -13,9 +13,9 @@ from fusion_sfdia.benchmarks.chemical.support.recordings import MEASUREMENTS, VA
 from fusion_sfdia.benchmarks.chemical.support.tasks import SIGMAS, sigmas
 from fusion_sfdia.detectors.detector import run
 from fusion_sfdia.detectors.kalman_banks.identifiability import identifiability
-from fusion_sfdia.learning.identification.choice import Candidate, ModelChoice, choose_model
+from fusion_sfdia.learning.identification.choice import Candidate, ModelChoice
 from fusion_sfdia.learning.identification.healthy_runs import groups_of, runs_of
-from fusion_sfdia.learning.outlier_detectors.calibration import calibrate
+from fusion_sfdia.learning.outlier_detectors.calibration import Calibration
 from fusion_sfdia.learning.outlier_detectors.methods import Methods
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.signals import Signal
@@ -54,7 +54,7 @@ def cases(task: Task) -> list[Measurement]:
 def chosen(folder: str, kind: str, order: int) -> ModelChoice:
     """The model of d00, of the stated kind or, without one, chosen by left-out stretches."""
     candidates = [Candidate(kind, order)] if kind else None
-    return choose_model(
+    return ModelChoice.of(
         "tennessee-eastman", SENSORS, [recording(folder, "d00")], inputs=INPUTS, candidates=candidates, folds=FOLDS
     )
 
@@ -68,7 +68,7 @@ def monitored(task: Task) -> Arrays:
     methods = Methods(choice, SENSORS, INPUTS, task["false_alarm"])
     repeated = name in REPEATED
     groups = groups_of(runs_of(SENSORS, INPUTS, [recording(folder, "d00", repeated=repeated)]), FOLDS)[1]
-    calibration = calibrate(methods.fits[METHODS[name]], groups, task["false_alarm"])
+    calibration = Calibration.of(methods.fits[METHODS[name]], groups, task["false_alarm"])
     detector, log = calibration.detector, recording(folder, "d00_te", repeated=repeated)
     dt = detector.plant.dt
     alarm = run(detector, detector.init((), -dt), log)[1].alarm[BEFORE:]

@@ -95,7 +95,7 @@ class Commissioning(NamedTuple):
 
     Examples
     --------
-    See `commissioned`.
+    See `Commissioning.of`.
     """
 
     plant: Plant
@@ -112,18 +112,102 @@ class Commissioning(NamedTuple):
     halves: tuple[Plant, Plant]
     fits: tuple[FilterScore, FilterScore]
 
+    @classmethod
+    def of(cls, plant: Plant, *healthy: Any, false_alarm: float | None = 1e-3, at: At | None = None) -> Commissioning:
+        """Adapt a plant to healthy readings of the real one, and report what was found.
+
+        Parameters
+        ----------
+        plant : Plant
+            The model.
+        *healthy : arrays, Log, Recording or frame
+            t (K,), y (K, N) or (K, B, N) of several runs, u, or a Log, a Recording or a frame, see `as_log`.
+        false_alarm : float or None, default 1e-3
+            The rate, per step over all sensors, for which thresholds are to be fitted later: `fit` of a detector needs at least
+            1 / false_alarm samples, best of other readings than these; None where a log of any length will do.
+        at : callable, optional
+            The time of a sample of a run in words, for errors; by default as in t.
+
+        Returns
+        -------
+        Commissioning
+            The plant and what was found.
+
+        Raises
+        ------
+        ValueError
+            For a log that is too short for the plant or the rate, that has a frozen sensor, or in which a bias of one sensor
+            explains what the plant does not.
+
+        Examples
+        --------
+        >>> from fusion_sfdia import simulate
+        >>> from fusion_sfdia.learning import Commissioning, commission
+        >>> from fusion_sfdia.plants import two_tanks
+        >>> healthy = simulate(two_tanks(), 300, seeds=[3], truth=two_tanks(outlet=0.9))
+        >>> found: Commissioning = Commissioning.of(two_tanks(), healthy, false_alarm=None)
+        >>> "parameters" in found.kept, found.after.log_likelihood > found.before.log_likelihood
+        (True, True)
+        """
+        if false_alarm is not None:
+            probability("false_alarm", false_alarm)
+        log = as_runs(plant, healthy)
+        at = at or partial(_at, log)
+        require_readings(plant, log)
+        require_moving(plant, log, at)
+        settle = settling(fixed(plant), log)
+        require_length(plant, log, settle, false_alarm)
+        steps = len(log.t)
+        settled = np.arange(steps) >= settle
+        middle = settle + (steps - settle) // 2
+        halves = [settled & (np.arange(steps) < middle), settled & (np.arange(steps) >= middle)]
+        now = [fitted(plant, log)] * 2
+        before = _held_out(now, halves)
+        plant, now = _with_sensors(plant, in_steps(plant, log.y), now, log)
+        plant, now = _with_sensors(plant, louder_sensors(plant, now[0].single[settled]), now, log)
+        halfway, parts = [plant, plant], {}
+        for name, stage in STAGES.items():
+            found = [stage(p, log, half) for p, half in zip(halfway, halves, strict=True)]
+            tried = [p for p, _ in found]
+            then = [old if p is q else fitted(q, log) for p, q, old in zip(halfway, tried, now, strict=True)]
+            gain = [(a.log_likelihood - b.log_likelihood)[half] for a, b, half in zip(then, now, halves[::-1], strict=True)]
+            if _worth(np.concatenate(gain), doubt=name == "parameters"):
+                halfway, now, parts[name] = tried, then, [what for _, what in found]
+        kept = tuple(parts)
+        result, parameters, noise = plant, None, None
+        disturbances: tuple[FoundDisturbance, ...] = ()
+        if "parameters" in kept:
+            result, parameters = _parameters(result, log, settled)
+        seen = windows(result, log, settled)
+        require_no_fault(result, seen, np.flatnonzero(settled)[WINDOW - 1 :: WINDOW], at)
+        if "disturbances" in kept:
+            result, disturbances = learnt(result, log, settled, seen)
+            for disturbance in disturbances:
+                require_no_sensor(plant, disturbance)
+        if "noise" in kept:
+            noise = joined(*parts["noise"])
+            result = with_noise(result, noise)
+        if (start := first_state(result, log)) is not None:
+            result = with_start(result, start)
+        result = with_slow_noise(result, fitted(result, log).single[settled])
+        halfway = [with_slow_noise(p, f.single[half]) for p, f, half in zip(halfway, now, halves, strict=True)]
+        return cls(
+            result, settle, before, _held_out(now, halves), kept, parameters, disturbances, noise, start,
+            first_error(result, log), middle, (halfway[0], halfway[1]), (now[0], now[1]),
+        )  # fmt: skip
+
 
 def commission(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Plant:
-    """Return the plant as a healthy log shows it: see `commissioned`, whose report has the reasons.
+    """Return the plant as a healthy log shows it: see `Commissioning.of`, whose report has the reasons.
 
     Parameters
     ----------
     plant : Plant
         The model.
     *healthy : arrays, Log, Recording or frame
-        As of `commissioned`.
+        As of `Commissioning.of`.
     false_alarm : float, default 1e-3
-        As of `commissioned`.
+        As of `Commissioning.of`.
 
     Returns
     -------
@@ -133,97 +217,13 @@ def commission(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Plant:
     Raises
     ------
     ValueError
-        As `commissioned` does.
+        As `Commissioning.of` does.
 
     Examples
     --------
-    See `commissioned`.
+    See `Commissioning.of`.
     """
-    return commissioned(plant, *healthy, false_alarm=false_alarm).plant
-
-
-def commissioned(plant: Plant, *healthy: Any, false_alarm: float | None = 1e-3, at: At | None = None) -> Commissioning:
-    """Adapt a plant to healthy readings of the real one, and report what was found.
-
-    Parameters
-    ----------
-    plant : Plant
-        The model.
-    *healthy : arrays, Log, Recording or frame
-        t (K,), y (K, N) or (K, B, N) of several runs, u, or a Log, a Recording or a frame, see `as_log`.
-    false_alarm : float or None, default 1e-3
-        The rate, per step over all sensors, for which thresholds are to be fitted later: `fit` of a detector needs at least
-        1 / false_alarm samples, best of other readings than these; None where a log of any length will do.
-    at : callable, optional
-        The time of a sample of a run in words, for errors; by default as in t.
-
-    Returns
-    -------
-    Commissioning
-        The plant and what was found.
-
-    Raises
-    ------
-    ValueError
-        For a log that is too short for the plant or the rate, that has a frozen sensor, or in which a bias of one sensor
-        explains what the plant does not.
-
-    Examples
-    --------
-    >>> from fusion_sfdia import simulate
-    >>> from fusion_sfdia.learning import Commissioning, commission, commissioned
-    >>> from fusion_sfdia.plants import two_tanks
-    >>> healthy = simulate(two_tanks(), 300, seeds=[3], truth=two_tanks(outlet=0.9))
-    >>> found: Commissioning = commissioned(two_tanks(), healthy, false_alarm=None)
-    >>> "parameters" in found.kept, found.after.log_likelihood > found.before.log_likelihood
-    (True, True)
-    """
-    if false_alarm is not None:
-        probability("false_alarm", false_alarm)
-    log = as_runs(plant, healthy)
-    at = at or partial(_at, log)
-    require_readings(plant, log)
-    require_moving(plant, log, at)
-    settle = settling(fixed(plant), log)
-    require_length(plant, log, settle, false_alarm)
-    steps = len(log.t)
-    settled = np.arange(steps) >= settle
-    middle = settle + (steps - settle) // 2
-    halves = [settled & (np.arange(steps) < middle), settled & (np.arange(steps) >= middle)]
-    now = [fitted(plant, log)] * 2
-    before = _held_out(now, halves)
-    plant, now = _with_sensors(plant, in_steps(plant, log.y), now, log)
-    plant, now = _with_sensors(plant, louder_sensors(plant, now[0].single[settled]), now, log)
-    halfway, parts = [plant, plant], {}
-    for name, stage in STAGES.items():
-        found = [stage(p, log, half) for p, half in zip(halfway, halves, strict=True)]
-        tried = [p for p, _ in found]
-        then = [old if p is q else fitted(q, log) for p, q, old in zip(halfway, tried, now, strict=True)]
-        gain = [(a.log_likelihood - b.log_likelihood)[half] for a, b, half in zip(then, now, halves[::-1], strict=True)]
-        if _worth(np.concatenate(gain), doubt=name == "parameters"):
-            halfway, now, parts[name] = tried, then, [what for _, what in found]
-    kept = tuple(parts)
-    result, parameters, noise = plant, None, None
-    disturbances: tuple[FoundDisturbance, ...] = ()
-    if "parameters" in kept:
-        result, parameters = _parameters(result, log, settled)
-    seen = windows(result, log, settled)
-    require_no_fault(result, seen, np.flatnonzero(settled)[WINDOW - 1 :: WINDOW], at)
-    if "disturbances" in kept:
-        result, disturbances = learnt(result, log, settled, seen)
-        for disturbance in disturbances:
-            require_no_sensor(plant, disturbance)
-    if "noise" in kept:
-        noise = joined(*parts["noise"])
-        result = with_noise(result, noise)
-    if (start := first_state(result, log)) is not None:
-        result = with_start(result, start)
-    result = with_slow_noise(result, fitted(result, log).single[settled])
-    halfway = [with_slow_noise(p, f.single[half]) for p, f, half in zip(halfway, now, halves, strict=True)]
-    return Commissioning(
-        result, settle, before, _held_out(now, halves), kept, parameters, disturbances, noise, start,
-        first_error(result, log), middle, (halfway[0], halfway[1]), (now[0], now[1]),
-    )  # fmt: skip
+    return Commissioning.of(plant, *healthy, false_alarm=false_alarm).plant
 
 
 def _with_sensors(plant: Plant, changed: Plant, now: list[FilterScore], log: Log) -> tuple[Plant, list[FilterScore]]:

@@ -88,7 +88,7 @@ class ModelChoice:
 
     Examples
     --------
-    See `choose_model`.
+    See `ModelChoice.of`.
     """
 
     plant: Plant
@@ -117,6 +117,82 @@ class ModelChoice:
             lines.append(f"never moved, and not in the model: {', '.join(self.still)}")
         return "\n".join(lines)
 
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        sensors: Sequence[Signal],
+        healthy: Sequence[Log],
+        *,
+        inputs: Sequence[Signal] = (),
+        candidates: Sequence[Candidate] | None = None,
+        folds: int = 4,
+    ) -> ModelChoice:
+        """Identify a linear plant from several healthy logs.
+
+        A log may have gaps; a step that is uneven, or an input that is not known, begins a new run. Of three logs and more
+        whole logs are left out, in `folds` groups, else stretches of them. Each candidate is identified from the rest and
+        predicts what was left out one step ahead. The first whose likelihood is within MARGIN of the largest is identified from
+        everything; Q and R are scaled so that the normalised innovation squared of what was left out is 1.
+
+        Parameters
+        ----------
+        name : str
+            Of the plant.
+        sensors : sequence of Signal (N,)
+            Name and unit of each column of y.
+        healthy : sequence of Log
+            t (K,), y (K, N) with NaN where missing, u (K, m).
+        inputs : sequence of Signal (m,), default ()
+            Name and unit of each column of u.
+        candidates : sequence of Candidate, optional
+            None for those of `candidates_for`.
+        folds : int, default 4
+            Groups that are left out in turn.
+
+        Returns
+        -------
+        ModelChoice
+            The plant, and why this one.
+
+        Raises
+        ------
+        ValueError
+            For logs that do not fit the names or are too short for every candidate.
+
+        Examples
+        --------
+        >>> from fusion_sfdia import Log, Signal, simulate
+        >>> from fusion_sfdia.learning import Candidate, ModelChoice
+        >>> from fusion_sfdia.plants import two_tanks
+        >>> plant = two_tanks(swing=0.2)
+        >>> logs = [Log(r.t, r.y[:, 0], r.u) for r in (simulate(plant, 200, seeds=[seed]) for seed in (4, 5))]
+        >>> choice: ModelChoice = ModelChoice.of(
+        ...     "by data", plant.sensors, logs, inputs=[Signal("inflow", "m3/s")], candidates=[Candidate("autoregression", 1)]
+        ... )
+        >>> choice.chosen.kind, choice.by, choice.plant.sensor_names
+        ('autoregression', 'stretches', ('l1', 'l2', 'q12', 'q2'))
+        """
+        whole("folds", folds, least=2)
+        all_runs = runs_of(sensors, inputs, healthy)
+        if not all_runs.moves.any():
+            raise ValueError("no sensor ever moves in the healthy logs; nothing can be identified")
+        still = tuple(s.name for s, moves in zip(sensors, all_runs.moves, strict=True) if not moves)
+        moving = [s for s, moves in zip(sensors, all_runs.moves, strict=True) if moves]
+        runs = all_runs if not still else runs_of(moving, inputs, [Log(t, y[:, all_runs.moves], u) for t, y, u in healthy])
+        by, groups = groups_of(runs, folds)
+        tried = candidates_for(len(moving), len(inputs)) if candidates is None else tuple(candidates)
+        found = [_score(c, name, runs, groups, moving, inputs) for c in tried]
+        scores = sorted(found, key=lambda s: -s.log_likelihood)
+        if not scores or not np.isfinite(scores[0].log_likelihood):
+            raise ValueError(
+                f"no model can be identified from {runs.samples} samples of {len(moving)} sensors: "
+                + "; ".join(dict.fromkeys(s.failed for s in scores))
+            )
+        best = next(s for s in found if s.log_likelihood >= scores[0].log_likelihood - MARGIN)
+        plant = times(model_of(best.candidate, name, runs, runs.logs, moving, inputs), best.nis)
+        return cls(plant, best.candidate, tuple(scores), by, len(groups), runs.samples, still)
+
 
 def candidates_for(sensors: int, inputs: int) -> tuple[Candidate, ...]:
     """The models that are tried by default for so many moving sensors and inputs."""
@@ -126,81 +202,6 @@ def candidates_for(sensors: int, inputs: int) -> tuple[Candidate, ...]:
     if inputs:
         found += [c._replace(quadratic=True) for c in found if c.kind != "subspace"]
     return tuple(found)
-
-
-def choose_model(
-    name: str,
-    sensors: Sequence[Signal],
-    healthy: Sequence[Log],
-    *,
-    inputs: Sequence[Signal] = (),
-    candidates: Sequence[Candidate] | None = None,
-    folds: int = 4,
-) -> ModelChoice:
-    """Identify a linear plant from several healthy logs.
-
-    A log may have gaps; a step that is uneven, or an input that is not known, begins a new run. Of three logs and more whole
-    logs are left out, in `folds` groups, else stretches of them. Each candidate is identified from the rest and predicts what
-    was left out one step ahead. The first whose likelihood is within MARGIN of the largest is identified from everything; Q and
-    R are scaled so that the normalised innovation squared of what was left out is 1.
-
-    Parameters
-    ----------
-    name : str
-        Of the plant.
-    sensors : sequence of Signal (N,)
-        Name and unit of each column of y.
-    healthy : sequence of Log
-        t (K,), y (K, N) with NaN where missing, u (K, m).
-    inputs : sequence of Signal (m,), default ()
-        Name and unit of each column of u.
-    candidates : sequence of Candidate, optional
-        None for those of `candidates_for`.
-    folds : int, default 4
-        Groups that are left out in turn.
-
-    Returns
-    -------
-    ModelChoice
-        The plant, and why this one.
-
-    Raises
-    ------
-    ValueError
-        For logs that do not fit the names or are too short for every candidate.
-
-    Examples
-    --------
-    >>> from fusion_sfdia import Log, Signal, simulate
-    >>> from fusion_sfdia.learning import Candidate, ModelChoice, choose_model
-    >>> from fusion_sfdia.plants import two_tanks
-    >>> plant = two_tanks(swing=0.2)
-    >>> logs = [Log(r.t, r.y[:, 0], r.u) for r in (simulate(plant, 200, seeds=[seed]) for seed in (4, 5))]
-    >>> choice: ModelChoice = choose_model(
-    ...     "by data", plant.sensors, logs, inputs=[Signal("inflow", "m3/s")], candidates=[Candidate("autoregression", 1)]
-    ... )
-    >>> choice.chosen.kind, choice.by, choice.plant.sensor_names
-    ('autoregression', 'stretches', ('l1', 'l2', 'q12', 'q2'))
-    """
-    whole("folds", folds, least=2)
-    all_runs = runs_of(sensors, inputs, healthy)
-    if not all_runs.moves.any():
-        raise ValueError("no sensor ever moves in the healthy logs; nothing can be identified")
-    still = tuple(s.name for s, moves in zip(sensors, all_runs.moves, strict=True) if not moves)
-    moving = [s for s, moves in zip(sensors, all_runs.moves, strict=True) if moves]
-    runs = all_runs if not still else runs_of(moving, inputs, [Log(t, y[:, all_runs.moves], u) for t, y, u in healthy])
-    by, groups = groups_of(runs, folds)
-    tried = candidates_for(len(moving), len(inputs)) if candidates is None else tuple(candidates)
-    found = [_score(c, name, runs, groups, moving, inputs) for c in tried]
-    scores = sorted(found, key=lambda s: -s.log_likelihood)
-    if not scores or not np.isfinite(scores[0].log_likelihood):
-        raise ValueError(
-            f"no model can be identified from {runs.samples} samples of {len(moving)} sensors: "
-            + "; ".join(dict.fromkeys(s.failed for s in scores))
-        )
-    best = next(s for s in found if s.log_likelihood >= scores[0].log_likelihood - MARGIN)
-    plant = times(model_of(best.candidate, name, runs, runs.logs, moving, inputs), best.nis)
-    return ModelChoice(plant, best.candidate, tuple(scores), by, len(groups), runs.samples, still)
 
 
 def times(plant: Plant, factor: float) -> Plant:

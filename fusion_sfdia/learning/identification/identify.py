@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import number, shown, whole
-from fusion_sfdia.learning.identification.choice import choose_model
+from fusion_sfdia.learning.identification.choice import ModelChoice
 from fusion_sfdia.learning.identification.healthy_runs import scaled
 from fusion_sfdia.learning.identification.linear_gaussian import filtered, fitted, plant_of, smoothed
 from fusion_sfdia.plant.log import Log
@@ -44,8 +44,8 @@ def identify(
     healthy : Log or list of Log
         y (K, N), u (K, m). Times are equally spaced; a missing reading is NaN. u acts until the reading of its row; where a
         controller computes it from that very reading, give the row before, or the model predicts the reading's noise from it. A
-        list of logs, which may have gaps, is identified by `choose_model`, with its candidates: order, ridge and iterations are
-        of one recording. A sensor that never moves is then not in the plant.
+        list of logs, which may have gaps, is identified by `ModelChoice.of`, with its candidates: order, ridge and iterations
+        are of one recording. A sensor that never moves is then not in the plant.
     inputs : sequence of Signal (m,), default ()
         Name and unit of each column of u; nominal inputs are their means.
     order : int or sequence of int, default (2, 4, 8, 12, 16)
@@ -89,7 +89,7 @@ def identify(
     (2, ('l1', 'l2', 'q12', 'q2'))
     """
     if isinstance(healthy, list):
-        return choose_model(name, sensors, healthy, inputs=inputs, folds=folds).plant
+        return ModelChoice.of(name, sensors, healthy, inputs=inputs, folds=folds).plant
     readings = scaled(sensors, inputs, healthy)
     y, u = readings.y, readings.u
     orders = [order] if isinstance(order, int) else list(order)

@@ -11,9 +11,9 @@ from sklearn.base import BaseEstimator, OutlierMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from fusion_sfdia.detectors.detector import Decision, run
-from fusion_sfdia.learning.identification.choice import Candidate, choose_model
+from fusion_sfdia.learning.identification.choice import Candidate, ModelChoice
 from fusion_sfdia.learning.identification.healthy_runs import groups_of, runs_of
-from fusion_sfdia.learning.outlier_detectors.calibration import calibrate
+from fusion_sfdia.learning.outlier_detectors.calibration import Calibration
 from fusion_sfdia.learning.outlier_detectors.methods import Methods
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.signals import Signal
@@ -114,14 +114,14 @@ class SensorFaultDetector(OutlierMixin, BaseEstimator):  # type: ignore[misc]
         inputs = [Signal(f"x{i}") for i in self.inputs]
         log = self._log(X, columns)
         candidates = None if self.kind is None else [Candidate(self.kind, self.order)]
-        self.choice_ = choose_model("rows", sensors, [log], inputs=inputs, candidates=candidates, folds=self.folds)
+        self.choice_ = ModelChoice.of("rows", sensors, [log], inputs=inputs, candidates=candidates, folds=self.folds)
         self.sensors_ = np.array([i for i in columns if f"x{i}" not in self.choice_.still])
         moving = [Signal(f"x{i}") for i in self.sensors_]
         groups = groups_of(runs_of(moving, inputs, [self._log(X, self.sensors_)]), self.folds)[1]
         warm_up = min(20, len(X) // self.folds // 4)
         rate = max(self.false_alarm, 1.0 / max(len(X) - 2 * warm_up * self.folds, 2))
         methods = Methods(self.choice_, moving, inputs, rate)
-        self.calibration_ = calibrate(methods.bank, groups, rate, warm_up)
+        self.calibration_ = Calibration.of(methods.bank, groups, rate, warm_up)
         self.offset_ = -1.0
         return self
 

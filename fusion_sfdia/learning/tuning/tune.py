@@ -21,7 +21,7 @@ from fusion_sfdia.common.rate import Rate, lasting
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.detectors.detector import Detector
 from fusion_sfdia.detectors.silent import require_scale, silent, silent_scores
-from fusion_sfdia.learning.commissioning.commission import Commissioning, as_runs, commissioned
+from fusion_sfdia.learning.commissioning.commission import Commissioning, as_runs
 from fusion_sfdia.learning.commissioning.parameters import moved
 from fusion_sfdia.learning.commissioning.refusals import require_moving
 from fusion_sfdia.learning.frozen_model.commissioned_model import Each, in_silence
@@ -133,7 +133,7 @@ def tune(
     dt = float(np.median(np.diff(log.t)))
     per_sample = rate.per_sample(dt)
     _require_enough(log, 0, rate, dt)
-    found = commissioned(plant, log, false_alarm=None, at=at)
+    found = Commissioning.of(plant, log, false_alarm=None, at=at)
     _require_enough(log, found.settle, rate, dt)
     at_the_mean = plant if found.parameters is None else moved(plant, found.parameters)
     sigma = np.minimum(plant.sensor_sigma, found.plant.sensor_sigma)

@@ -11,7 +11,7 @@ import pytest
 from scipy.signal import lfilter
 
 from fusion_sfdia.diagnosis.simulate import simulate
-from fusion_sfdia.learning.commissioning.commission import commission, commissioned
+from fusion_sfdia.learning.commissioning.commission import Commissioning, commission
 from fusion_sfdia.learning.commissioning.disturbances import FoundDisturbance, with_disturbance
 from fusion_sfdia.learning.commissioning.refusals import require_moving
 from fusion_sfdia.models.two_tanks.plant import two_tanks
@@ -48,7 +48,7 @@ def biased(log: Log, sensor: int, size: float, since: int) -> Log:
 
 @pytest.mark.slow
 def test_a_declared_parameter_moves_to_its_true_value() -> None:
-    found = commissioned(declared(), healthy(0.95), false_alarm=RATE)
+    found = Commissioning.of(declared(), healthy(0.95), false_alarm=RATE)
     assert found.parameters is not None
     assert abs(found.parameters.value[0] - 0.95) < 4 * found.parameters.sd[0]
     assert found.parameters.sd[0] < 0.05 * OUTLET.sd
@@ -61,7 +61,7 @@ def test_a_declared_parameter_moves_to_its_true_value() -> None:
 
 @pytest.mark.slow
 def test_a_mismatch_of_which_nothing_is_declared_is_learnt() -> None:
-    found = commissioned(bare(), healthy(0.95), false_alarm=RATE)
+    found = Commissioning.of(bare(), healthy(0.95), false_alarm=RATE)
     assert "disturbances" in found.kept
     assert found.before.nis > 5
     assert pickle.loads(pickle.dumps(found.plant)).x0.tolist() == found.plant.x0.tolist()
@@ -79,7 +79,7 @@ def test_a_log_with_a_biased_sensor_is_refused(since: int) -> None:
 @pytest.mark.slow
 def test_a_log_of_the_model_itself_changes_nothing() -> None:
     recording = simulate(two_tanks(), 160, range(50, 52), truth="model", process_noise=True)
-    found = commissioned(declared(), recording, false_alarm=RATE)
+    found = Commissioning.of(declared(), recording, false_alarm=RATE)
     assert found.kept in ((), ("parameters",))
     if found.parameters is not None:
         assert abs(found.parameters.value[0] - 1.0) < 4 * found.parameters.sd[0]

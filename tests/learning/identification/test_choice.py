@@ -10,7 +10,7 @@ import pytest
 from made_up_logs import DT, LOAD, SENSORS, STEPS, of_autoregression, of_factor
 
 from fusion_sfdia.learning.checks.plants import check_plant
-from fusion_sfdia.learning.identification.choice import Candidate, ModelChoice, candidates_for, choose_model
+from fusion_sfdia.learning.identification.choice import Candidate, ModelChoice, candidates_for
 from fusion_sfdia.learning.identification.healthy_runs import groups_of, runs_of
 from fusion_sfdia.learning.identification.identify import identify
 from fusion_sfdia.learning.innovations import WARM_UP, left_out
@@ -26,7 +26,7 @@ TRIED = (
 
 
 def chosen(logs: list[Log], **changes: Any) -> ModelChoice:
-    return choose_model("found", SENSORS, logs, **{"inputs": [LOAD], "candidates": TRIED, "folds": LOGS, **changes})
+    return ModelChoice.of("found", SENSORS, logs, **{"inputs": [LOAD], "candidates": TRIED, "folds": LOGS, **changes})
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +87,7 @@ def test_the_plants_keep_the_contract_and_can_be_pickled(by_autoregression: Mode
 def test_several_logs_are_identified_by_the_choice() -> None:
     logs = [Log(t, y[:, :2], u[:, :0]) for t, y, u in (of_factor(seed, 60) for seed in range(3))]
     plant = identify("found", SENSORS[:2], logs, folds=3)
-    assert np.array_equal(plant.process_cov, choose_model("found", SENSORS[:2], logs, folds=3).plant.process_cov)
+    assert np.array_equal(plant.process_cov, ModelChoice.of("found", SENSORS[:2], logs, folds=3).plant.process_cov)
 
 
 def test_gaps_and_unknown_inputs_begin_a_new_run_and_missing_readings_do_not() -> None:

@@ -12,8 +12,8 @@ from fusion_sfdia.detectors.batch_detector import BatchDetector
 from fusion_sfdia.detectors.data_driven.healthy_limits import without_model
 from fusion_sfdia.detectors.detector import Detector
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.learning.identification.choice import Candidate, choose_model
-from fusion_sfdia.learning.outlier_detectors.calibration import calibrate
+from fusion_sfdia.learning.identification.choice import Candidate, ModelChoice
+from fusion_sfdia.learning.outlier_detectors.calibration import Calibration
 from fusion_sfdia.learning.outlier_detectors.methods import Methods
 from fusion_sfdia.plant.log import Log
 
@@ -25,7 +25,7 @@ FALSE_ALARM = 0.02
 
 @pytest.fixture(scope="module")
 def methods() -> Methods:
-    choice = choose_model("found", SENSORS, LOGS, inputs=[LOAD], candidates=[Candidate("factors", 1)])
+    choice = ModelChoice.of("found", SENSORS, LOGS, inputs=[LOAD], candidates=[Candidate("factors", 1)])
     return Methods(choice, SENSORS, [LOAD], FALSE_ALARM)
 
 
@@ -44,7 +44,7 @@ def test_each_group_is_judged_by_a_detector_that_has_not_seen_it(methods: Method
         seen.append({k for k, log in enumerate(LOGS) for run in logs if run is log})
         return methods.bank(logs)
 
-    found = calibrate(fit, GROUPS, FALSE_ALARM)
+    found = Calibration.of(fit, GROUPS, FALSE_ALARM)
     assert seen == [{2, 3, 4, 5}, {0, 1, 4, 5}, {0, 1, 2, 3}, {0, 1, 2, 3, 4, 5}]
     assert found.samples == (2 * (STEPS - WARM_UP),) * 3 and len(found.counted) == 3
     assert isinstance(found.detector, LeaveOneOutBank) and found.detector.threshold_scale > 0
@@ -54,7 +54,7 @@ def test_each_group_is_judged_by_a_detector_that_has_not_seen_it(methods: Method
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["bank", "predictors", "pls", "limits", "dynamic pca", "one-class"])
 def test_fresh_logs_are_in_alarm_at_most_three_times_as_often_as_stated(methods: Methods, name: str) -> None:
-    found = calibrate(methods.fits[name], GROUPS, FALSE_ALARM)
+    found = Calibration.of(methods.fits[name], GROUPS, FALSE_ALARM)
     rate = np.mean([alarms(found.detector, of_factor(seed)) for seed in range(60, 66)])
     assert rate <= 3 * FALSE_ALARM and found.rate == pytest.approx(np.mean(found.counted))
 
@@ -83,7 +83,7 @@ def test_the_scale_and_the_rates_are_those_of_the_order_statistics(methods: Meth
         return Log(np.arange(len(values)) * methods.choice.plant.dt, y, np.zeros((len(values), 1)))
 
     first, second = np.arange(1.0, 11.0), np.arange(1.5, 11.0, 1.0)
-    found = calibrate(lambda logs: Fixed(methods.choice.plant), [[log(first)], [log(second)]], 0.1, warm_up=0)
+    found = Calibration.of(lambda logs: Fixed(methods.choice.plant), [[log(first)], [log(second)]], 0.1, warm_up=0)
     assert found.detector.threshold_scale == pytest.approx(10.0)
     assert found.counted == (0.0, 0.1) and found.rate == pytest.approx(0.05)
 
@@ -94,4 +94,4 @@ def test_the_scale_and_the_rates_are_those_of_the_order_statistics(methods: Meth
 )
 def test_what_cannot_be_calibrated_is_refused(methods: Methods, groups: Any, rate: float, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        calibrate(methods.limits, groups, rate)
+        Calibration.of(methods.limits, groups, rate)

@@ -12,7 +12,7 @@ from sklearn.cross_decomposition import PLSRegression
 
 from fusion_sfdia.detectors.detector import Decision, run
 from fusion_sfdia.learning.checks.detectors import check_detector
-from fusion_sfdia.learning.identification.choice import Candidate, choose_model
+from fusion_sfdia.learning.identification.choice import Candidate, ModelChoice
 from fusion_sfdia.learning.outlier_detectors.methods import Methods
 from fusion_sfdia.learning.outlier_detectors.partial_least_squares import PartialLeastSquares
 from fusion_sfdia.learning.outlier_detectors.since_start import SinceStart
@@ -44,7 +44,7 @@ def decisions(log: Log) -> Decision:
 
 
 def test_it_keeps_the_contract_on_changes_since_the_start() -> None:
-    choice = choose_model("found", SENSORS, HEALTHY, inputs=[LOAD], candidates=[Candidate("factors", 1)])
+    choice = ModelChoice.of("found", SENSORS, HEALTHY, inputs=[LOAD], candidates=[Candidate("factors", 1)])
     found = Methods(choice, SENSORS, [LOAD], 1e-3).pls(HEALTHY)
     assert isinstance(found, SinceStart) and found.most_faults == 2
     inner = found.detector

@@ -8,7 +8,7 @@ from made_up_logs import DT, LOAD, SENSORS, of_factor
 
 from fusion_sfdia.detectors.detector import Decision, run
 from fusion_sfdia.learning.checks.detectors import check_detector
-from fusion_sfdia.learning.identification.choice import Candidate, choose_model
+from fusion_sfdia.learning.identification.choice import Candidate, ModelChoice
 from fusion_sfdia.learning.outlier_detectors.methods import Methods
 from fusion_sfdia.learning.outlier_detectors.since_start import SinceStart, changes
 from fusion_sfdia.plant.log import Log
@@ -20,7 +20,7 @@ START = 30
 @pytest.fixture(scope="module")
 def detector() -> SinceStart:
     logs = [of_factor(seed) for seed in range(4)]
-    choice = choose_model("found", SENSORS, logs, inputs=[LOAD], candidates=[Candidate("factors", 1)])
+    choice = ModelChoice.of("found", SENSORS, logs, inputs=[LOAD], candidates=[Candidate("factors", 1)])
     found = Methods(choice, SENSORS, [LOAD], 1e-3, START).predictors(logs)
     assert isinstance(found, SinceStart)
     return found

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.diagnosis.diagnose import Diagnosis, DiagnosisWarning, diagnose_run
-from fusion_sfdia.learning.identification.choice import ModelChoice, choose_model
+from fusion_sfdia.learning.identification.choice import ModelChoice
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.signals import Signal
@@ -51,7 +51,7 @@ def identified(log: Log, stuck: NDArray[np.bool_], physical: Plant) -> ModelChoi
     """From the samples before the valve sticks, in which the temperature and the pressure drop rise and it begins to close."""
     healthy = Log(*(part[: np.argmax(stuck) - 1] for part in log))
     sensors = [Signal(s.name, s.unit) for s in physical.sensors]
-    return choose_model("identified valve", sensors, [healthy], inputs=physical.inputs)
+    return ModelChoice.of("identified valve", sensors, [healthy], inputs=physical.inputs)
 
 
 def diagnosis(plant: Plant, log: Log, window: int) -> Diagnosis:
