@@ -182,7 +182,7 @@ def of_river(name: str, river: River, unit: Array | None = None) -> Iterator[Rec
     def judged(rows: Array) -> Judged:
         label = river.label[rows]
         near = np.convolve((label > 0).any(axis=1), np.ones(CALM + 1))[: len(rows)] > 0
-        return Judged(Log(*(a[rows] for a in river.log)), label, np.zeros(len(rows), bool), ~near)
+        return Judged(river.log.rows(rows), label, np.zeros(len(rows), bool), ~near)
 
     # one log with gaps: the fortnights are pieces of one recording and no runs of their own
     learnt = [clean(np.concatenate(parts[::2]))]

@@ -134,14 +134,13 @@ def _unit(task: Mapping[str, Any]) -> dict[str, Any]:
     from fusion_sfdia.learning.monitor.unmodelled_logs import load, signals_of
     from fusion_sfdia.logs.loaded_log import counted
     from fusion_sfdia.logs.log_map import PLAIN_MAP, load_map
-    from fusion_sfdia.plant.log import Log
 
     log_map = PLAIN_MAP if task["log_map"] is None else load_map(task["log_map"])
     sensors, inputs = signals_of(task["log"], task["inputs"], task["ignore"], log_map)
     read = load(task["log"], sensors, inputs, log_map)
     t = read.log.t
     inside = within(t, task["learn"], read.clock, "--learn") if task["learn"] else np.arange(t.size) < t.size / 2
-    healthy = Log(*(a[inside] for a in read.log))
+    healthy = read.log.rows(inside)
     monitor = Monitor.of_logs(sensors, [healthy], inputs=inputs, false_alarm=task["false_alarm"], clocks=[read.clock])
     found = monitor.diagnose(read)
     state, verdict = str(found.state), found.verdict

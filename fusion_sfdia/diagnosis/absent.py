@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.diagnosis.events import spans
 from fusion_sfdia.plant.regularity import equal_readings
 
 Array = NDArray[Any]
@@ -46,12 +47,12 @@ def dropouts(y: Array) -> list[list[tuple[int, int]]]:
         for k in np.flatnonzero(few):
             missing[k : k + width] = True
         overdue = read[1:] == read[np.maximum(np.arange(1, column.size + 1) - period, 0)]
-        spans = []
-        for a, b in _runs(missing):
+        stretches = []
+        for a, b in spans(missing):
             absent = np.flatnonzero(overdue[a : b + 1]) + a
             if absent.size >= DUE * period / 2:
-                spans.append((int(rows[absent[0]]), int(rows[absent[-1]])))
-        found.append(spans)
+                stretches.append((int(rows[absent[0]]), int(rows[absent[-1]])))
+        found.append(stretches)
     return found
 
 
@@ -101,8 +102,3 @@ def _usual_distance(readings: Array, at: Array) -> int:
     apart = np.diff(at)
     moved = np.diff(readings) != 0
     return max(1, int(np.median(apart[moved] if moved.any() else apart))) if apart.size else 1
-
-
-def _runs(held: Array) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], held, [False]]).astype(int)))
-    return list(zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True))

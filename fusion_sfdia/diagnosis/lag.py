@@ -128,7 +128,7 @@ def latest(detector: Detector, log: Log, found: Diagnosis) -> Lag | None:
     chosen = [i for i, name in enumerate(detector.plant.sensor_names) if large[i] > LARGE or name in named]
     chosen = [i for i in chosen if _follows_change(log.y[:ROWS, i], found.after.error[:ROWS, i], z[:, i])]
     chosen = sorted(chosen, key=lambda i: -large[i])[:CANDIDATES]
-    part = Log(*(a[:ROWS] for a in log))
+    part = log.rows(slice(ROWS))
     best = [(evidence, Lag(i, rows)) for i in chosen for rows, evidence in [_lag(model_of(detector), part, i)] if rows]
     return max(best)[1] if best else None
 

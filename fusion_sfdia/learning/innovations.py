@@ -102,7 +102,7 @@ def held(plant: Plant) -> Plant:
 def until(log: Log, use: Array) -> Log:
     """The log up to the last sample that is used (K,)."""
     last = int(np.flatnonzero(use)[-1]) + 1
-    return Log(log.t[:last], log.y[:last], log.u[:last])
+    return log.rows(slice(last))
 
 
 class InnovationUpdate(NamedTuple):
@@ -166,7 +166,7 @@ def settling(model: Plant, log: Log) -> int:
 
     An error of the estimate is multiplied by (I - K H) F in each step, in the end by the largest eigenvalue of that product.
     """
-    *_, last = filtered(model, Log(*(a[:STEADY] for a in log)))
+    *_, last = filtered(model, log.rows(slice(STEADY)))
     moving = diagonal(model.process_cov) + diagonal(model.initial_cov) > 0
     loop = (last.closed @ last.tangent)[..., moving, :][..., moving]
     slowest = np.max(np.abs(np.linalg.eigvals(loop)))
@@ -297,7 +297,7 @@ def side_by_side(logs: Sequence[Log]) -> tuple[Array, Array, Array]:
 
     A run of more than LONGEST samples is stepped as several.
     """
-    parts = [Log(*(part[a : a + LONGEST] for part in log)) for log in logs for a in range(0, len(log.t), LONGEST)]
+    parts = [log.rows(slice(a, a + LONGEST)) for log in logs for a in range(0, len(log.t), LONGEST)]
     shape = max(len(part.t) for part in parts), len(parts)
     y, u = np.full((*shape, parts[0].y.shape[1]), np.nan), np.zeros((*shape, parts[0].u.shape[1]))
     for b, (t, readings, applied) in enumerate(parts):

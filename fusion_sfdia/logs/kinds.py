@@ -29,77 +29,77 @@ SHEET = "save the sheet as .xlsx or CSV"
 RUNS_CODE = "it can run code when it is loaded and is never read; export the log as CSV or Parquet"
 
 
-class Kind(NamedTuple):
+class Format(NamedTuple):
     """What a file is, in words, and what to do with one that is not read ("" where it is)."""
 
     name: str
     cure: str = ""
 
 
-MAGIC: tuple[tuple[bytes, Kind], ...] = (
-    (b"PAR1", Kind(PARQUET)),
-    (b"ARROW1", Kind(ARROW)),
-    (b"TDSm", Kind(TDMS)),
-    (b"TDSh", Kind("the index of a TDMS file", "give the .tdms file beside it")),
-    (b"MDF     ", Kind(MDF)),
-    (b"UnFinMF ", Kind("an MDF file that was not finished", "finalise it, as asammdf and CANape do when they open it")),
-    (b"\x1f\x8b", Kind("gzip")),
-    (b"BZh", Kind("bzip2")),
-    (b"\xfd7zXZ\x00", Kind("xz")),
-    (b"\x28\xb5\x2f\xfd", Kind("compressed by zstd", "unpack it: `zstd -d`")),
-    (b"\x04\x22\x4d\x18", Kind("compressed by lz4", "unpack it: `lz4 -d`")),
-    (b"7z\xbc\xaf\x27\x1c", Kind("a 7z archive", "unpack it")),
-    (b"Rar!", Kind("a RAR archive", "unpack it")),
-    (b"MATLAB 5.0 MAT-file", Kind("a MAT file of MATLAB 5", MATLAB)),
-    (b"MATLAB 7.3 MAT-file", Kind("a MAT file of MATLAB 7.3 (HDF5)", MATLAB)),
-    (b"\x89HDF\r\n\x1a\n", Kind("an HDF5 file", "export the log as CSV or Parquet, as with pandas.read_hdf(...).to_parquet")),
-    (b"CDF\x01", Kind("a netCDF file", "export the log as CSV, as with xarray's to_dataframe().to_csv")),
-    (b"CDF\x02", Kind("a netCDF file", "export the log as CSV, as with xarray's to_dataframe().to_csv")),
-    (b"#ROSBAG V", Kind("a bag of ROS", ROS)),
-    (b"\x89MCAP0\r\n", Kind("an MCAP file of ROS 2 or Foxglove", "export a topic as CSV, as PlotJuggler does")),
+MAGIC: tuple[tuple[bytes, Format], ...] = (
+    (b"PAR1", Format(PARQUET)),
+    (b"ARROW1", Format(ARROW)),
+    (b"TDSm", Format(TDMS)),
+    (b"TDSh", Format("the index of a TDMS file", "give the .tdms file beside it")),
+    (b"MDF     ", Format(MDF)),
+    (b"UnFinMF ", Format("an MDF file that was not finished", "finalise it, as asammdf and CANape do when they open it")),
+    (b"\x1f\x8b", Format("gzip")),
+    (b"BZh", Format("bzip2")),
+    (b"\xfd7zXZ\x00", Format("xz")),
+    (b"\x28\xb5\x2f\xfd", Format("compressed by zstd", "unpack it: `zstd -d`")),
+    (b"\x04\x22\x4d\x18", Format("compressed by lz4", "unpack it: `lz4 -d`")),
+    (b"7z\xbc\xaf\x27\x1c", Format("a 7z archive", "unpack it")),
+    (b"Rar!", Format("a RAR archive", "unpack it")),
+    (b"MATLAB 5.0 MAT-file", Format("a MAT file of MATLAB 5", MATLAB)),
+    (b"MATLAB 7.3 MAT-file", Format("a MAT file of MATLAB 7.3 (HDF5)", MATLAB)),
+    (b"\x89HDF\r\n\x1a\n", Format("an HDF5 file", "export the log as CSV or Parquet, as with pandas.read_hdf(...).to_parquet")),
+    (b"CDF\x01", Format("a netCDF file", "export the log as CSV, as with xarray's to_dataframe().to_csv")),
+    (b"CDF\x02", Format("a netCDF file", "export the log as CSV, as with xarray's to_dataframe().to_csv")),
+    (b"#ROSBAG V", Format("a bag of ROS", ROS)),
+    (b"\x89MCAP0\r\n", Format("an MCAP file of ROS 2 or Foxglove", "export a topic as CSV, as PlotJuggler does")),
     (
         b"SQLite format 3\x00",
-        Kind("an SQLite database", '`sqlite3 -csv -header log.db "SELECT * FROM t" > log.csv` exports a table'),
+        Format("an SQLite database", '`sqlite3 -csv -header log.db "SELECT * FROM t" > log.csv` exports a table'),
     ),
-    (b"LOGG", Kind("a BLF log of a CAN bus", "decode it by its DBC file to MDF4 or CSV, as with asammdf")),
-    (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", Kind("an Excel workbook of before 2007 (.xls)", SHEET)),
-    (b"%PDF-", Kind("a PDF document", "export the readings as CSV from the program that made it")),
-    (b"{\\rtf", Kind("an RTF document", "save it as plain text")),
-    (b"\x93NUMPY", Kind("an array of NumPy", "give it to load_log as a pandas frame, or write it as CSV")),
-    (b"\x80\x02", Kind("a pickle", RUNS_CODE)),
-    (b"\x80\x03", Kind("a pickle", RUNS_CODE)),
-    (b"\x80\x04", Kind("a pickle", RUNS_CODE)),
-    (b"\x80\x05", Kind("a pickle", RUNS_CODE)),
-    (b"Obj\x01", Kind("an Avro file", "export the log as CSV or Parquet")),
-    (b"ORC", Kind("an ORC file", "export the log as CSV or Parquet")),
-    (b"RIFF", Kind("a WAV or AVI file", "export the readings as CSV")),
-    (b"\x89PNG", Kind("an image", "export the readings themselves as CSV")),
-    (b"\xff\xd8\xff", Kind("an image", "export the readings themselves as CSV")),
-    (b"GIF8", Kind("an image", "export the readings themselves as CSV")),
+    (b"LOGG", Format("a BLF log of a CAN bus", "decode it by its DBC file to MDF4 or CSV, as with asammdf")),
+    (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", Format("an Excel workbook of before 2007 (.xls)", SHEET)),
+    (b"%PDF-", Format("a PDF document", "export the readings as CSV from the program that made it")),
+    (b"{\\rtf", Format("an RTF document", "save it as plain text")),
+    (b"\x93NUMPY", Format("an array of NumPy", "give it to load_log as a pandas frame, or write it as CSV")),
+    (b"\x80\x02", Format("a pickle", RUNS_CODE)),
+    (b"\x80\x03", Format("a pickle", RUNS_CODE)),
+    (b"\x80\x04", Format("a pickle", RUNS_CODE)),
+    (b"\x80\x05", Format("a pickle", RUNS_CODE)),
+    (b"Obj\x01", Format("an Avro file", "export the log as CSV or Parquet")),
+    (b"ORC", Format("an ORC file", "export the log as CSV or Parquet")),
+    (b"RIFF", Format("a WAV or AVI file", "export the readings as CSV")),
+    (b"\x89PNG", Format("an image", "export the readings themselves as CSV")),
+    (b"\xff\xd8\xff", Format("an image", "export the readings themselves as CSV")),
+    (b"GIF8", Format("an image", "export the readings themselves as CSV")),
 )
 FIELD = r"[^\s,=]+=(?:\"[^\"]*\"|[^\s,]+)"  # of the line protocol
-LINES: tuple[tuple[str, Kind], ...] = (
+LINES: tuple[tuple[str, Format], ...] = (
     (
         r"\s*\{\s*\"[^\n]*\}\s*(?:\n\s*\{|$)",
-        Kind("JSON lines", 'pandas.read_json("log.json", lines=True).to_csv("log.csv", index=False) writes it as CSV'),
+        Format("JSON lines", 'pandas.read_json("log.json", lines=True).to_csv("log.csv", index=False) writes it as CSV'),
     ),
     (
         r"\s*(?:\[\s*[\[{]|\{\s*(?:\"|\}))",
-        Kind("JSON", 'pandas.read_json("log.json").to_csv("log.csv", index=False) writes a list of records as CSV'),
+        Format("JSON", 'pandas.read_json("log.json").to_csv("log.csv", index=False) writes a list of records as CSV'),
     ),
     (
         r"(?i)\s*<(?:!doctype html|html|table)",
-        Kind("an HTML page", "a page in place of data is often one to log in: export it as CSV"),
+        Format("an HTML page", "a page in place of data is often one to log in: export it as CSV"),
     ),
-    (r"\s*<(?:\?xml|[A-Za-z])", Kind("XML", "export the log as CSV")),
+    (r"\s*<(?:\?xml|[A-Za-z])", Format("XML", "export the log as CSV")),
     (
         rf"(?:#[^\n]*\n)*[^\s,#\"]+(?:,[^\s,=]+=[^\s,]+)* {FIELD}(?:,{FIELD})*(?: \d{{9,19}})?\r?(?:\n|$)",
-        Kind("line protocol of InfluxDB", "query the bucket as CSV, with a column for each field (in Flux: pivot)"),
+        Format("line protocol of InfluxDB", "query the bucket as CSV, with a column for each field (in Flux: pivot)"),
     ),
 )
 
 
-def kind_of(file: IO[bytes], suffix: str) -> Kind:
+def kind_of(file: IO[bytes], suffix: str) -> Format:
     """Return what an opened file is, from its first bytes on; it is then at its beginning again."""
     start = file.read(START)
     file.seek(0)
@@ -113,13 +113,13 @@ def kind_of(file: IO[bytes], suffix: str) -> Kind:
         if re.match(pattern, text):
             return kind
     if start.startswith((b"\xff\xfe", b"\xfe\xff")) or _is_text(start):
-        return Kind(TEXT)
-    return Kind(
+        return Format(TEXT)
+    return Format(
         "a binary file of a kind that is not known", "expected CSV, Parquet, Excel, TDMS or MDF: export the log as one of them"
     )
 
 
-def unpacked(where: str, file: IO[bytes], kind: Kind) -> io.BytesIO:
+def unpacked(where: str, file: IO[bytes], kind: Format) -> io.BytesIO:
     """Return the file that a compressed one holds; ValueError for one that is damaged or larger than LARGEST."""
     try:
         if kind.name == "zip":
@@ -139,30 +139,30 @@ def unpacked(where: str, file: IO[bytes], kind: Kind) -> io.BytesIO:
     return io.BytesIO(data)
 
 
-def _of_zip(file: IO[bytes], suffix: str) -> Kind:
+def _of_zip(file: IO[bytes], suffix: str) -> Format:
     try:
         with zipfile.ZipFile(file) as archive:
             names = archive.namelist()
             document = archive.read("mimetype")[:200] if "mimetype" in names else b""
     except (zipfile.BadZipFile, OSError, RuntimeError, NotImplementedError, EOFError):
         what = "an Excel workbook" if suffix.startswith(".xls") else "a zip archive"
-        return Kind(f"{what} that is damaged", "copy it again, or save it as CSV")
+        return Format(f"{what} that is damaged", "copy it again, or save it as CSV")
     finally:
         file.seek(0)
     if "xl/workbook.xml" in names:
-        return Kind(WORKBOOK)
+        return Format(WORKBOOK)
     if "xl/workbook.bin" in names:
-        return Kind("an Excel workbook in binary form (.xlsb)", SHEET)
+        return Format("an Excel workbook in binary form (.xlsb)", SHEET)
     if b"opendocument.spreadsheet" in document:
-        return Kind("an OpenDocument spreadsheet", SHEET)
+        return Format("an OpenDocument spreadsheet", SHEET)
     if "word/document.xml" in names or document:
-        return Kind("a text document", "export the readings as CSV")
+        return Format("a text document", "export the readings as CSV")
     if names and all(name.endswith(".npy") for name in names):
-        return Kind("an archive of NumPy arrays", "give them to load_log as a pandas frame, or write them as CSV")
+        return Format("an archive of NumPy arrays", "give them to load_log as a pandas frame, or write them as CSV")
     files = [name for name in names if not name.endswith("/")]
     if len(files) == 1:
-        return Kind("zip")
-    return Kind("a zip archive", f"unpack it, and give one of its {len(files)} files" + (f": {some(files)}" if files else ""))
+        return Format("zip")
+    return Format("a zip archive", f"unpack it, and give one of its {len(files)} files" + (f": {some(files)}" if files else ""))
 
 
 def _is_text(start: bytes) -> bool:

@@ -41,6 +41,21 @@ class Log(NamedTuple):
     y: Array
     u: Array
 
+    def rows(self, which: slice | Array) -> Log:
+        """The log of some of its rows.
+
+        Parameters
+        ----------
+        which : slice or array
+            The rows: a slice, which copies nothing, their positions, or for each row whether it is one of them.
+
+        Returns
+        -------
+        Log
+            Of these rows.
+        """
+        return Log(self.t[which], self.y[which], self.u[which])
+
 
 def one_run(log: Log) -> Log:
     """Return a Log of one run, y (K, N) and u (K, m), of a Log of one or of a batch of one; ValueError for several runs."""

@@ -16,7 +16,6 @@ from fusion_sfdia.diagnosis.hindsight import hindsight
 from fusion_sfdia.filters.estimators import Ensemble, Unscented
 from fusion_sfdia.learning.checks.plants import check_plant
 from fusion_sfdia.plant.gaps import bridged
-from fusion_sfdia.plant.log import Log
 
 MODELS = ("turns counted", "modulo in the output", "modulo in the step")
 NAMED = ("loo-glr", "loo-chi2", "robust-glr", "kf-chi2", "mhe-l1", "chebyshev", "adaptive-threshold", "fusing-ukf")
@@ -64,7 +63,7 @@ def test_a_plant_with_a_period_keeps_the_contract(model: str) -> None:
 def test_a_healthy_compass_is_not_isolated_over_several_turns_and_a_gap(name: str, model: str) -> None:
     log = within_a_turn(turning(seed=4, samples=600))
     kept = np.r_[0:200, 330:600]  # the car turns by 130 degrees unseen
-    found = diagnose(name, Log(*(a[kept] for a in log)), plant=car(model))
+    found = diagnose(name, log.rows(kept), plant=car(model))
     assert found.events == ()
     assert found.health is not None
     assert not found.health.suspect

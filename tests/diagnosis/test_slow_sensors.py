@@ -60,10 +60,10 @@ def test_a_watch_that_is_saved_goes_on_with_the_same_bits(tanks: Plant, tmp_path
     detector = registry.detector("loo-glr", tanks)
     whole = watched(Watch(detector, refused=said.append), log)
     first = Watch(detector, refused=said.append)
-    part = watched(first, Log(*(a[:83] for a in log)))
+    part = watched(first, log.rows(slice(83)))
     first.save(tmp_path / "state.npz")
     again = Watch.load(tmp_path / "state.npz", detector, refused=said.append)
-    rest = watched(again, Log(*(a[83:] for a in log)))
+    rest = watched(again, log.rows(slice(83, None)))
     np.testing.assert_array_equal(isolated([*part, *rest]), isolated(whole))
     assert len([line for line in said if "repeats its value" in line]) == 2, "the second watch knows what was said"
 

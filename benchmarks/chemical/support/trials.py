@@ -73,7 +73,7 @@ def trial(task: Task) -> Arrays:
     detector, learns = chosen(task)
     folder = task["data"]
     logs = {name: recording(folder, f"{name}_te", repeated=learns) for name in ("d00", *FAULTS)}
-    judged = Log(*(part[JUDGED - WARM_UP :] for part in logs["d00"]))
+    judged = logs["d00"].rows(slice(JUDGED - WARM_UP, None))
     arrays = {f"healthy {what}": values for what, values in verdicts(detector, judged).items()}
     for name in FAULTS:
         arrays |= {f"{name} {what}": values for what, values in verdicts(detector, logs[name]).items()}

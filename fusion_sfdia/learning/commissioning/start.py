@@ -41,7 +41,7 @@ def first_state(plant: Plant, log: Log) -> Start | None:
     The state of each run is smoothed from its first readings, with a start that is 100 times as uncertain. Readings that
     do not determine a state, or that no state explains, may move it anywhere: a mean beyond its limits is no start, and None.
     """
-    first = Log(log.t[:1], log.y[:1], log.u[:1])
+    first = log.rows(slice(1))
     model = fixed(plant)
     (stated,) = filtered(model, first)
     if np.sum(stated.normal**2) < chi2.isf(REFUSED, int(np.sum(stated.used))):
@@ -62,5 +62,5 @@ def first_state(plant: Plant, log: Log) -> Start | None:
 
 def first_error(plant: Plant, log: Log) -> float:
     """Normalised innovation squared per reading of the samples that a log of runs begins with, 1 where the plant's x0 fits."""
-    (first,) = filtered(fixed(plant), Log(log.t[:1], log.y[:1], log.u[:1]))
+    (first,) = filtered(fixed(plant), log.rows(slice(1)))
     return float(np.sum(first.normal**2) / max(np.sum(first.used), 1))

@@ -253,4 +253,4 @@ def _score(
 def _at_most(logs: Sequence[Log], samples: int) -> list[Log]:
     """The first part of each log, all of the same share, with so many samples together."""
     share = min(1.0, samples / sum(len(log.t) for log in logs))
-    return [Log(*(part[: max(2, round(share * len(log.t)))] for part in log)) for log in logs]
+    return [log.rows(slice(max(2, round(share * len(log.t))))) for log in logs]

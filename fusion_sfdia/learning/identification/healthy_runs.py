@@ -136,7 +136,7 @@ def groups_of(runs: Runs, folds: int) -> tuple[str, list[list[Log]]]:
             (max(a - (e - len(log.t)), 0), min(b - (e - len(log.t)), len(log.t)), log)
             for e, log in zip(ends, runs.logs, strict=True)
         ]
-        stretches.append([Log(*(part[i:j] for part in log)) for i, j, log in rows if j - i > 1])
+        stretches.append([log.rows(slice(i, j)) for i, j, log in rows if j - i > 1])
     return "stretches", [s for s in stretches if s]
 
 

@@ -44,7 +44,7 @@ def follow(channels: Channels, learnt: LearntLimits, t: Array, v: Array, past: P
     return verdicts_of(channels, t, v, tests, by), Past(ahead, before, trouble)
 
 
-class Kept(NamedTuple):
+class KeptRows(NamedTuple):
     """A `Past` in arrays of one shape: of how many rows it is, at most those that tests reach."""
 
     rows: Array
@@ -62,8 +62,8 @@ class LiveGrid(NamedTuple):
     total: Array
     least: Array
     most: Array
-    before: Kept
-    now: Kept
+    before: KeptRows
+    now: KeptRows
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,11 +142,11 @@ class LiveMonitor(Claims):
             decisions_of(self.channels, verdicts), -1
         )
 
-    def _follow(self, t: Array, v: Array, kept: Kept) -> tuple[Verdicts, Past]:
+    def _follow(self, t: Array, v: Array, kept: KeptRows) -> tuple[Verdicts, Past]:
         before = kept.past.before._replace(tails=kept.past.before.tails.last(int(kept.rows)))
         return follow(self.channels, self.learnt, t, v, kept.past._replace(before=before))
 
-    def _kept(self, past: Past) -> Kept:
+    def _kept(self, past: Past) -> KeptRows:
         tails = past.before.tails
         padded = past._replace(before=past.before._replace(tails=tails.padded(reach(self.learnt))))
-        return Kept(np.array(len(tails.z)), mapped(np.asarray, padded))
+        return KeptRows(np.array(len(tails.z)), mapped(np.asarray, padded))

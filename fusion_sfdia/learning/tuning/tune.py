@@ -156,7 +156,7 @@ def tune(
     across = [threshold([part], per_sample).scale for part in parts[::-1]]
 
     tables = {"plant": plant_table(plant)} | learnt_tables(plant, found)
-    final = build(acting_plant(learnt_plant(tables, plant), entry), _cut(log, found.settle, len(log.t)))
+    final = build(acting_plant(learnt_plant(tables, plant), entry), log.rows(slice(found.settle, None)))
     digest = {} if entry.learns else {"digest": settings_digest(final)}
     final = scaled(final, scale, per_sample)
     late = delays(final, log, found.settle)
@@ -206,10 +206,6 @@ def _at(times: Array, of: Sequence[int], moments: Sequence[Callable[[float], str
     return moments[of[b]](float(times[k, b]))
 
 
-def _cut(log: Log, start: int, end: int) -> Log:
-    return Log(*(a[start:end] for a in log))
-
-
 def _require_enough(log: Log, settle: int, rate: Rate, dt: float) -> None:
     """Raise ValueError where there are too few samples after settling for the rate."""
     steps, runs = log.y.shape[:2]
@@ -243,8 +239,8 @@ def _held_out_scores(found: Commissioning, log: Log, build: Any) -> list[Array]:
     ends = [(found.settle, found.middle), (found.middle, len(log.t))]
     parts = []
     for own, learnt, plant in zip(ends, ends[::-1], found.halves[::-1], strict=True):
-        detector = build(acting_plant(plant, build.args[0]), _cut(log, *learnt))
-        state, scores = silent_scores(silent(detector), *_cut(log, 0, own[1]))
+        detector = build(acting_plant(plant, build.args[0]), log.rows(slice(*learnt)))
+        state, scores = silent_scores(silent(detector), *log.rows(slice(own[1])))
         if np.any(state.diverged):
             raise ValueError(
                 f"the estimate of {build.args[0].name} diverges on the healthy log; check inputs, units and parameters of the "
@@ -284,7 +280,7 @@ def _quality(
 def on_stretch(plant: Plant, log: Log, between: str, detector: Any, clock: Clock = Clock()) -> Tuned:  # noqa: B008
     """Tune on the readings between two times of a log of one run, FROM..TO, see `within`; ValueError as `tune` raises it."""
     inside = within(log.t, between, clock)
-    part = Log(*(a[inside] for a in log))
+    part = log.rows(inside)
     return tune(
         plant, part, false_alarm=FALSE_ALARM, detector=detector, sources=[HealthySource(f"the stretch {between}", clock)]
     )
@@ -316,7 +312,7 @@ def as_even_runs(plant: Plant, logs: Sequence[Log]) -> EvenRuns:
         return EvenRuns(Log(longest.t, longest.y[:, None], longest.u[:, None]), longest.t[:, None], (alone,))
     length = max(sorted(set(lengths)), key=lambda n: sum(k // n * (n - LEAST) for k in lengths))
     cut = [slice(i * length, (i + 1) * length) for i in range(max(lengths) // length)]
-    runs = [(i, Log(*(a[s] for a in p))) for i, p in even for s in cut[: len(p.t) // length]]
+    runs = [(i, p.rows(s)) for i, p in even for s in cut[: len(p.t) // length]]
     t, y, u = (np.stack([run[j] for _, run in runs], axis=1) for j in range(3))
     return EvenRuns(Log(t[:, 0], y, u), t, tuple(i for i, _ in runs))
 

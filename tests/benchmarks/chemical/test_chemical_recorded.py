@@ -21,7 +21,6 @@ from fusion_sfdia.benchmarks.chemical.support.recordings import (
 )
 from fusion_sfdia.benchmarks.chemical.support.trials import JUDGED, ONSETS, SIGNS, WARM_UP, biased, cases, sigmas
 from fusion_sfdia.learning.innovations import whiteness
-from fusion_sfdia.plant.log import Log
 
 CHANNELS = len(MEASUREMENTS) + len(VALVES)
 
@@ -126,7 +125,7 @@ def test_the_identified_plant_is_stable_and_as_precise_as_it_states_on_other_rea
 def test_biases_are_of_the_stated_size_where_they_are_active(data: str) -> None:
     task = {"data": data, "measurements": [7, 23], "sizes": [5.0], "length": 10}
     plant, log = identified(data), recording(data, "d00_te")
-    judged = Log(*(part[JUDGED - WARM_UP :] for part in log))
+    judged = log.rows(slice(JUDGED - WARM_UP, None))
     found, active = biased(task, judged, plant)
     scale = sigmas(data, plant)
     for b, (i, sigma, size, which) in enumerate(cases(task)):

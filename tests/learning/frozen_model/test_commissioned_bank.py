@@ -111,18 +111,18 @@ def test_saved_and_loaded_it_is_the_same_detector(tmp_path: Path) -> None:
 
 def test_a_bank_whose_estimate_is_lost_begins_anew_and_names_what_follows() -> None:
     log = with_bias(40, 2, 8.0, 60)
-    state, _ = run(both(), both().init(), Log(*(a[:60] for a in log)))
+    state, _ = run(both(), both().init(), log.rows(slice(60)))
     bank = state.memory.bank
     nothing = bank.estimate._replace(x=np.full_like(bank.estimate.x, np.nan))
     lost = state._replace(memory=state.memory._replace(bank=bank._replace(estimate=nothing)))
-    after, d = run(both(), lost, Log(*(a[60:] for a in log)))
+    after, d = run(both(), lost, log.rows(slice(60, None)))
     assert np.isfinite(after.memory.bank.estimate.x).all() and not d.diverged.any()
     assert d.isolated[ONSET - 60 + 5 : ONSET, 2].mean() >= 0.9
 
 
 def test_a_sensor_that_was_repaired_is_used_again_by_the_bank() -> None:
     log = with_bias(40, 2, 8.0, 60)
-    state, _ = run(both(), both().init(), Log(*(a[: ONSET + 30] for a in log)))
+    state, _ = run(both(), both().init(), log.rows(slice(ONSET + 30)))
     assert state.memory.bank.exclusion.out[2]
     assert not both().readmit(state, PLANT.sensor_names[2]).memory.bank.exclusion.out.any()
 

@@ -105,7 +105,7 @@ def test_skipped_rows_are_rows_without_readings() -> None:
     kept = np.random.default_rng(3).random(STEPS) > 0.2
     kept[[0, -1]] = True
     whole = of_factor(5)
-    found = runs_of(SENSORS, [LOAD], [Log(*(a[kept] for a in whole))])
+    found = runs_of(SENSORS, [LOAD], [whole.rows(kept)])
     (run,) = found.logs
     np.testing.assert_allclose(run.t, whole.t, rtol=1e-12)
     np.testing.assert_array_equal(run.y, np.where(kept[:, None], whole.y, np.nan))

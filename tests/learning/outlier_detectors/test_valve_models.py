@@ -49,7 +49,7 @@ def stuck(valve: dict[str, NDArray[np.float64]]) -> NDArray[np.bool_]:
 @pytest.fixture(scope="module")
 def identified(log: Log, stuck: NDArray[np.bool_], physical: Plant) -> ModelChoice:
     """From the samples before the valve sticks, in which the temperature and the pressure drop rise and it begins to close."""
-    healthy = Log(*(part[: np.argmax(stuck) - 1] for part in log))
+    healthy = log.rows(slice(np.argmax(stuck) - 1))
     sensors = [Signal(s.name, s.unit) for s in physical.sensors]
     return ModelChoice.of("identified valve", sensors, [healthy], inputs=physical.inputs)
 

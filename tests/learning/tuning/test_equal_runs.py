@@ -57,11 +57,11 @@ def test_skipped_rows_are_rows_without_readings(fixed_dt: bool) -> None:
     kept = np.random.default_rng(1).random(800) > 0.1
     kept[300:355], kept[[0, 400, 500, 799]] = False, True
     whole = log(800)
-    found = as_even_runs(changed(PLANT, fixed_dt=fixed_dt), [Log(*(a[kept] for a in whole))]).log
+    found = as_even_runs(changed(PLANT, fixed_dt=fixed_dt), [whole.rows(kept)]).log
     np.testing.assert_allclose(found.t, whole.t, rtol=1e-12)
     np.testing.assert_array_equal(found.y[:, 0], np.where(kept[:, None], whole.y, np.nan))
     kept[401:500] = False
-    parts = as_even_runs(changed(PLANT, fixed_dt=fixed_dt), [Log(*(a[kept] for a in whole))])
+    parts = as_even_runs(changed(PLANT, fixed_dt=fixed_dt), [whole.rows(kept)])
     assert parts.log.y.shape[0] in (300, 400) and np.isnan(parts.log.y).any()
 
 
