@@ -9,9 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import number, probability
-from fusion_sfdia.detectors.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.detectors.batch_detector import TimeStep
 from fusion_sfdia.detectors.data_driven.fixed_limits import FixedLimits, largest
-from fusion_sfdia.detectors.data_driven.healthy_limits import healthy_readings, per_sensor, stuck, upper_limit, without_model
+from fusion_sfdia.detectors.data_driven.healthy_limits import (
+    LearntFromReadings,
+    healthy_readings,
+    per_sensor,
+    stuck,
+    upper_limit,
+    without_model,
+)
 from fusion_sfdia.detectors.detector import Decision, require_no_cycles
 from fusion_sfdia.plant.plant import Plant
 
@@ -30,7 +37,7 @@ class EwmaLimitsMemory(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class EwmaLimits(BatchDetector):
+class EwmaLimits(LearntFromReadings):
     """Three checks of each sensor: its level e = y - centre, its change from one reading to the next, and, for small faults
     that last, an exponentially weighted moving average of its level (Lucas and Saccucci 1990):
 
@@ -133,27 +140,6 @@ class EwmaLimits(BatchDetector):
         factor = upper_limit(worst[worst >= 0], false_alarm / 3)
         average = np.where(still, max(factor, 1.0), factor) * unit
         return cls(plant, fixed.centre, fixed.level, fixed.change, average, weight, fitted_rate=false_alarm, **settings)
-
-    def with_sensors_of(self, plant: Plant) -> Self:
-        """The detector itself: what it learnt from healthy readings stays.
-
-        Parameters
-        ----------
-        plant : Plant
-            With other noise, resolutions or periods of its sensors.
-
-        Returns
-        -------
-        Self
-            With the same limits.
-
-        Raises
-        ------
-        NotApplicableError
-            For cyclic sensors.
-        """
-        require_no_cycles(plant, "limits and relations that are learnt from readings")
-        return self
 
     def _start(self, batch: tuple[int, ...], seed: int) -> EwmaLimitsMemory:
         shape = (*batch, len(self.centre))

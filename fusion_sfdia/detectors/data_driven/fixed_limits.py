@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from fusion_sfdia.common.arguments import floats, probability
-from fusion_sfdia.detectors.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.detectors.batch_detector import TimeStep
 from fusion_sfdia.detectors.data_driven.healthy_limits import (
+    LearntFromReadings,
     healthy_readings,
     noise_floor,
     per_sensor,
@@ -38,7 +39,7 @@ class FixedLimitsMemory(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class FixedLimits(BatchDetector):
+class FixedLimits(LearntFromReadings):
     """Two checks of each sensor, with the limits of `fit`: its level |y - centre|, and its change |y - y_before| from one
     reading to the next, whatever the time between them (not checked after a missing reading).
 
@@ -136,27 +137,6 @@ class FixedLimits(BatchDetector):
         factor = upper_limit(worst[worst >= 0], false_alarm)
         factors = np.where(still, max(factor, 1.0), factor)
         return cls(plant, centre, factors * unit[0], factors * unit[1], fitted_rate=false_alarm, **settings)
-
-    def with_sensors_of(self, plant: Plant) -> Self:
-        """The detector itself: what it learnt from healthy readings stays.
-
-        Parameters
-        ----------
-        plant : Plant
-            With other noise, resolutions or periods of its sensors.
-
-        Returns
-        -------
-        Self
-            With the same limits.
-
-        Raises
-        ------
-        NotApplicableError
-            For cyclic sensors.
-        """
-        require_no_cycles(plant, "limits and relations that are learnt from readings")
-        return self
 
     def _start(self, batch: tuple[int, ...], seed: int) -> FixedLimitsMemory:
         shape = (*batch, len(self.centre))

@@ -2,19 +2,45 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import floats
 from fusion_sfdia.common.order_statistics import order_statistic
-from fusion_sfdia.detectors.detector import Decision
+from fusion_sfdia.detectors.batch_detector import BatchDetector
+from fusion_sfdia.detectors.detector import Decision, require_no_cycles
 from fusion_sfdia.logs.log_forms import as_log
 from fusion_sfdia.plant.border import possible
 from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
+
+
+class LearntFromReadings(BatchDetector):
+    """A detector whose limits are learnt from readings: what a plant states of its sensors does not change them."""
+
+    def with_sensors_of(self, plant: Plant) -> Self:
+        """The detector itself: what it learnt from healthy readings stays.
+
+        Parameters
+        ----------
+        plant : Plant
+            With other noise, resolutions or periods of its sensors.
+
+        Returns
+        -------
+        Self
+            With the same limits.
+
+        Raises
+        ------
+        NotApplicableError
+            For cyclic sensors.
+        """
+        require_no_cycles(plant, "limits and relations that are learnt from readings")
+        return self
 
 
 def without_model(

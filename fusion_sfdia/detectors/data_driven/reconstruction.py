@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from fusion_sfdia.common.arguments import shown, whole
 from fusion_sfdia.detectors.batch_detector import IsolatingDetector, TimeStep
 from fusion_sfdia.detectors.data_driven.component_model import ComponentModel, Reconstruction
-from fusion_sfdia.detectors.data_driven.healthy_limits import without_model
+from fusion_sfdia.detectors.data_driven.healthy_limits import LearntFromReadings, without_model
 from fusion_sfdia.detectors.detector import Decision, require_no_cycles
-from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 
@@ -26,7 +25,7 @@ class LaggedReadings(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class ReconstructionDetector(IsolatingDetector):
+class ReconstructionDetector(LearntFromReadings, IsolatingDetector):
     """A detector with a statistic of windows of present and lagged readings; an alarm is an `excess` above 1.
 
     After an alarm the sensors of the largest contribution are reconstructed one by one, at most max_faults, until the statistic
@@ -52,11 +51,6 @@ class ReconstructionDetector(IsolatingDetector):
     @abstractmethod
     def excess(self, found: Reconstruction) -> Array:
         """The root of the statistic over its limit (B,), without threshold_scale."""
-
-    def with_sensors_of(self, plant: Plant) -> Self:
-        """The detector itself: what it learnt from healthy readings stays; NotApplicableError for cyclic ones."""
-        require_no_cycles(plant, "limits and relations that are learnt from readings")
-        return self
 
     def _start(self, batch: tuple[int, ...], seed: int) -> LaggedReadings:
         return LaggedReadings(np.full((*batch, len(self.plant.sensors), self.model.lags), np.nan))
