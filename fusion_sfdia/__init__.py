@@ -8,8 +8,8 @@ from functools import reduce
 from importlib import import_module
 from typing import Any
 
+from fusion_sfdia.common.errors import warn_renamed
 from fusion_sfdia.common.public_names import public_names
-from fusion_sfdia.common.warned import warn_renamed
 
 __version__ = "0.1.0"
 

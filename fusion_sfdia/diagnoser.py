@@ -8,8 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from fusion_sfdia.common.errors import warn
 from fusion_sfdia.common.rate import Rate
-from fusion_sfdia.common.warned import warn
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.detectors.detector import OWN_CLASS, Detector
 from fusion_sfdia.detectors.saved_detectors import save_detector

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from fusion_sfdia.common.warned import warn_renamed
+from fusion_sfdia.common.errors import warn_renamed
 
 NONE: Mapping[str, str] = MappingProxyType({})
 

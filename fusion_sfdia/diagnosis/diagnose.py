@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from fusion_sfdia.common.clock import Clock
-from fusion_sfdia.common.errors import MissingPackageError
+from fusion_sfdia.common.errors import MissingPackageError, warn
 from fusion_sfdia.common.html import as_html
-from fusion_sfdia.common.warned import warn
 from fusion_sfdia.detectors.detector import Decision, Detector, ProcessHypothesis, chosen, joined, place, room_for, stack
 from fusion_sfdia.detectors.verdicts import ALL_FAR, NO_THRESHOLDS, TOO_MANY, Conclusion, Verdict, far_off, judged, undecidable
 from fusion_sfdia.diagnosis.absent import beyond_resolution, repeats

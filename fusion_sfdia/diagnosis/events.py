@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.clock import Clock
-from fusion_sfdia.common.warned import warn_renamed
+from fusion_sfdia.common.errors import warn_renamed
 from fusion_sfdia.detectors.detector import Decision, Detector, ProcessHypothesis
 
 Array = NDArray[Any]

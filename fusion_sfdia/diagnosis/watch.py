@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import floats, number, require_names, whole
 from fusion_sfdia.common.clock import Clock
-from fusion_sfdia.common.warned import warn, warn_renamed
+from fusion_sfdia.common.errors import warn, warn_renamed
 from fusion_sfdia.detectors.detector import Decision, Detector
 from fusion_sfdia.detectors.state import State
 from fusion_sfdia.detectors.storage import (

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import floats
+from fusion_sfdia.common.errors import warn
 from fusion_sfdia.common.files import atomic_write
 from fusion_sfdia.common.plain_text import cell, plain
-from fusion_sfdia.common.warned import warn
 from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.logs.plain import plain_lines
 from fusion_sfdia.logs.reading import load_log

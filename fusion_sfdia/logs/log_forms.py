@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import floats, shown, some
-from fusion_sfdia.common.warned import warn
+from fusion_sfdia.common.errors import warn
 from fusion_sfdia.logs.frames import as_pandas, is_frame
 from fusion_sfdia.logs.loaded_log import LoadedLog
 from fusion_sfdia.logs.reading import load_log

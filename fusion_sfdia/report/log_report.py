@@ -13,9 +13,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from fusion_sfdia.common.errors import warn
 from fusion_sfdia.common.files import all_or_none, atomic_write, locked
 from fusion_sfdia.common.plain_text import cell, plain
-from fusion_sfdia.common.warned import warn
 from fusion_sfdia.detectors.detector import Detector
 from fusion_sfdia.detectors.storage import require_detector
 from fusion_sfdia.detectors.verdicts import Verdict

@@ -21,8 +21,7 @@ from fusion_sfdia.diagnosis.faults import Fault
 from fusion_sfdia.diagnosis.simulate import Recording, simulate
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
-from fusion_sfdia.study.case_readings import case_readings
-from fusion_sfdia.study.cases import ComparisonCases, MismatchCase, ProcessFaultCase
+from fusion_sfdia.study.cases import ComparisonCases, MismatchCase, ProcessFaultCase, case_readings
 from fusion_sfdia.study.errors import READING_ERRORS, ReadingError
 from fusion_sfdia.study.truths import Variation, declared, varied
 

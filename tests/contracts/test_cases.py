@@ -10,8 +10,9 @@ import pytest
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.detectors.kalman_banks.hypotheses import Hypotheses
 from fusion_sfdia.plant.uncertainty import equation_of, error_of
+from fusion_sfdia.study.cases import case_readings
 from fusion_sfdia.study.comparison.protocol import SETTINGS, mismatch_cases
-from fusion_sfdia.study.comparison.recordings import mismatched, simulated
+from fusion_sfdia.study.comparison.recordings import mismatched
 from fusion_sfdia.study.comparison.subjects import cases_of, compared_plant, plant_of
 
 PLANTS = [name for name, entry in registry.plants().items() if entry.cases]
@@ -52,7 +53,7 @@ def test_there_are_unseen_cases_which_the_comparison_leaves_out(plant: str) -> N
 @pytest.mark.parametrize("plant", PLANTS)
 def test_every_unseen_case_changes_what_is_read(plant: str) -> None:
     of = compared_plant(plant)
-    usual = simulated(of, STEPS, (0, 1))
+    usual = case_readings(plant_of(of), STEPS, (0, 1))
     for case in cases_of(of).mismatch:
         assert pickle.loads(pickle.dumps(case)).name == case.name
         other = mismatched(of, case, STEPS, (0, 1), START * plant_of(of).dt)

@@ -9,8 +9,8 @@ from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.models.two_tanks.comparison import other_tanks
 from fusion_sfdia.models.two_tanks.plant import INFLOW, NOMINAL, STEP, two_tanks
 from fusion_sfdia.plant.plant import Plant
-from fusion_sfdia.study.comparison.recordings import simulated
-from fusion_sfdia.study.comparison.subjects import compared_plant
+from fusion_sfdia.study.cases import case_readings
+from fusion_sfdia.study.comparison.subjects import compared_plant, plant_of
 from fusion_sfdia.study.truths import double_spread, finest, fluctuating, trending
 
 X, U = np.array([[0.9, 1.1]]), np.array([INFLOW])
@@ -56,9 +56,9 @@ def test_an_input_fluctuates_with_its_spread_and_correlation() -> None:
 
 def test_a_plant_that_fluctuates_is_disturbed_though_the_usual_one_is_not() -> None:
     of = compared_plant("two-tanks")
-    found = simulated(of, 30, (0, 1), truth=fluctuating(two_tanks, {"inflow": 0.05 * INFLOW}, 50.0))
+    found = case_readings(plant_of(of), 30, (0, 1), truth=fluctuating(two_tanks, {"inflow": 0.05 * INFLOW}, 50.0))
     assert np.std(found.signal[-1, :, 0]) > 0
-    assert np.std(simulated(of, 30, (0, 1)).signal[-1, :, 0]) == 0
+    assert np.std(case_readings(plant_of(of), 30, (0, 1)).signal[-1, :, 0]) == 0
 
 
 def test_an_input_that_a_plant_lacks_cannot_fluctuate() -> None:

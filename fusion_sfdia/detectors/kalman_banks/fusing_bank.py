@@ -31,9 +31,8 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.common.alike import repeated, single
 from fusion_sfdia.common.arguments import floats, shown
-from fusion_sfdia.common.errors import NotApplicableError
+from fusion_sfdia.common.errors import NotApplicableError, warn
 from fusion_sfdia.common.order_statistics import order_statistic
-from fusion_sfdia.common.warned import warn
 from fusion_sfdia.derivatives.equation import compiled
 from fusion_sfdia.detectors.batch_detector import AccommodatingDetector, TimeStep
 from fusion_sfdia.detectors.detector import Decision, run

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import number, shown
+from fusion_sfdia.common.errors import warn
 from fusion_sfdia.common.files import all_or_none, atomic_write
 from fusion_sfdia.common.rate import Rate
 from fusion_sfdia.common.references import name_of
-from fusion_sfdia.common.warned import warn
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.detectors.batch_detector import BatchDetector
 from fusion_sfdia.detectors.detector import Detector

@@ -16,9 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.diagnosis.simulate import Recording, simulate
-from fusion_sfdia.plant.plant import Plant
-from fusion_sfdia.study.case_readings import case_readings
-from fusion_sfdia.study.cases import MismatchCase, ProcessFaultCase
+from fusion_sfdia.study.cases import MismatchCase, ProcessFaultCase, case_readings
 from fusion_sfdia.study.comparison.subjects import ComparedPlant, plant_of
 
 Array = NDArray[Any]
@@ -30,14 +28,14 @@ SAME = 1e-6  # sigma: less is the same model
 @lru_cache(maxsize=4)
 def healthy(plant: ComparedPlant, steps: int, seeds: tuple[int, ...]) -> Recording:
     """Healthy readings in the usual operation, the same for all detectors."""
-    return simulated(plant, steps, seeds)
+    return case_readings(plant_of(plant), steps, seeds)
 
 
 def mismatched(plant: ComparedPlant, case: MismatchCase, steps: int, seeds: Sequence[int], start: float) -> Recording:
     """Healthy readings of a mismatch case, which are judged from `start` (s) on."""
     truth = None if case.truth is None else case.truth()
     inputs = None if case.inputs is None else partial(_from_start, case.inputs, start)
-    return simulated(plant, steps, seeds, truth=truth, inputs=inputs)
+    return case_readings(plant_of(plant), steps, seeds, truth=truth, inputs=inputs)
 
 
 def _from_start(inputs: Callable[[float, float], Array], start: float, t: float) -> Array:
@@ -49,22 +47,9 @@ def failing(plant: ComparedPlant, fault: ProcessFaultCase, steps: int, seeds: Se
     if (fault.truth is None) == (fault.lost is None):
         raise ValueError(f"process fault {fault.name!r} of {plant.name}: expected either a truth or what is lost of the inputs")
     if fault.truth is not None:
-        return simulated(plant, steps, seeds, truth=fault.truth(onset))
+        return case_readings(plant_of(plant), steps, seeds, truth=fault.truth(onset))
     assert fault.lost is not None
-    return simulated(plant, steps, seeds, lost=(onset, fault.lost))
-
-
-def simulated(
-    plant: ComparedPlant,
-    steps: int,
-    seeds: Sequence[int],
-    *,
-    truth: Plant | None = None,
-    inputs: Callable[[float], Array] | None = None,
-    lost: tuple[float, tuple[float, ...]] | None = None,
-) -> Recording:
-    """`case_readings` of the plant in the usual operation of the comparison."""
-    return case_readings(plant_of(plant), steps, seeds, truth=truth, inputs=inputs, lost=lost)
+    return case_readings(plant_of(plant), steps, seeds, lost=(onset, fault.lost))
 
 
 @lru_cache(maxsize=8)

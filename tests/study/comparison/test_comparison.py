@@ -28,7 +28,7 @@ from fusion_sfdia.diagnosis.simulate import Recording, simulate
 from fusion_sfdia.learning import builders
 from fusion_sfdia.plant.plant import Numerics, Plant
 from fusion_sfdia.report.results import Published
-from fusion_sfdia.study import case_readings
+from fusion_sfdia.study import cases as of_cases
 from fusion_sfdia.study.cases import ComparisonCases
 from fusion_sfdia.study.comparison import calibration as comparison_calibration
 from fusion_sfdia.study.comparison import protocol
@@ -275,7 +275,7 @@ def test_what_sets_thresholds_what_is_learnt_from_and_what_is_judged_share_no_se
         phase[0] = "judged"
         return found
 
-    monkeypatch.setattr(case_readings, "simulate", spy(case_readings.simulate, fitting=False))
+    monkeypatch.setattr(of_cases, "simulate", spy(of_cases.simulate, fitting=False))
     monkeypatch.setattr(builders, "simulate", spy(builders.simulate, fitting=True))
     monkeypatch.setattr(comparison_run, "calibrated", watched)
     healthy.cache_clear()
@@ -292,8 +292,8 @@ def test_what_sets_thresholds_what_is_learnt_from_and_what_is_judged_share_no_se
 
 def test_readings_are_simulated_once_for_all_detectors(monkeypatch: pytest.MonkeyPatch) -> None:
     simulated: list[Any] = []
-    simulate = case_readings.simulate
-    monkeypatch.setattr(case_readings, "simulate", lambda *a, **k: simulated.append(k) or simulate(*a, **k))
+    simulate = of_cases.simulate
+    monkeypatch.setattr(of_cases, "simulate", lambda *a, **k: simulated.append(k) or simulate(*a, **k))
     for cached in (healthy, comparison_run.usual_material, comparison_run.mismatch_material):
         cached.cache_clear()
     counts = []
