@@ -182,14 +182,14 @@ else:
 class Claims(Protocol):
     """What a detector states of itself beside its decisions. Each has a default, which a class inherits from this one.
 
-    process_hypotheses: what of the process it tests, too. filter_model: the plant whose state its filter estimates, None for
-    its own plant. most_faults: how many sensors it isolates at once at most; `why_no_more` says in words what sets that.
-    threshold_scale: factor on all thresholds. false_alarm: the rate of alarms per step over all sensors for which its
-    thresholds are designed, fitted_rate that for which they were fitted to healthy readings, None where there is none.
-    claimed_rate: alarms per step over all sensors without a fault that it claims at most, NaN where it claims nothing.
-    steps: as `step` for each of t (K,), y (K, N), u (K, m) of one run, with the same bits, where there is a faster way; else
-    None. watching: itself without accommodation, where it has any, so that readings are not replaced. fit_thresholds: itself
-    with thresholds for that rate from healthy readings.
+    process_hypotheses: what of the process it tests, too. filter_model: the plant whose state its Kalman filter estimates, None
+    where it has no such filter. most_faults: how many sensors it isolates at once at most; `why_no_more` says in words what
+    sets that. threshold_scale: factor on all thresholds. false_alarm: the rate of alarms per step over all sensors for which
+    its thresholds are designed, fitted_rate that for which they were fitted to healthy readings, None where there is none.
+    claimed_rate: alarms per step over all sensors without a fault that it claims at most, NaN where it claims nothing. steps:
+    as `step` for each of t (K,), y (K, N), u (K, m) of one run, with the same bits, where there is a faster way; else None.
+    watching: itself without accommodation, where it has any, so that readings are not replaced. fit_thresholds: itself with
+    thresholds for that rate from healthy readings.
     """
 
     @Default

@@ -15,6 +15,7 @@ from fusion_sfdia.detectors.detector import Decision
 from fusion_sfdia.detectors.health import broken
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import normalised_innovation_squared, posterior, statistics
 from fusion_sfdia.filters.estimators import Core, Estimator, Extended, Reading, drawn_by, require_filter, step_stream
+from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 
@@ -53,6 +54,10 @@ class CentralFilter(BatchDetector):
         super().__post_init__()
         require_filter(self.estimator)
         probability("false_alarm", self.false_alarm)
+
+    @property
+    def filter_model(self) -> Plant:
+        return self.plant
 
     @property
     def most_faults(self) -> int:

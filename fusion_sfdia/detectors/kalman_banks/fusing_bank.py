@@ -180,6 +180,10 @@ class FusingBank(AccommodatingDetector):
                 raise ValueError("an ensemble takes over the covariance of the mixture for equal beta only; give beta=None")
 
     @property
+    def filter_model(self) -> Plant:
+        return self.plant
+
+    @property
     def runs_literally(self) -> bool:
         return self.literal or (self.beta is not None and len(set(self.beta)) > 1)
 

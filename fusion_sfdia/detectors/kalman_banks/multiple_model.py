@@ -43,6 +43,7 @@ from fusion_sfdia.filters.estimators import (
     require_none_considered,
     step_stream,
 )
+from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
 
@@ -96,6 +97,10 @@ class MultipleModel(BatchDetector):
         for what in ("inflation", "duration"):
             if not 1 < number(what, getattr(self, what)) < np.inf:
                 raise ValueError(f"{what} is {getattr(self, what)}; expected a number above 1")
+
+    @property
+    def filter_model(self) -> Plant:
+        return self.plant
 
     @property
     def most_faults(self) -> int:

@@ -311,7 +311,7 @@ def acting_plant(plant: Plant, entry: registry.NamedDetector) -> Plant:
     """
     if entry.tests_process or entry.learns or not plant.uncertainty.disturbances:
         return plant
-    return fixed(plant) if hasattr(registry.detector(entry, plant), "estimator") else plant
+    return plant if registry.detector(entry, plant).filter_model is None else fixed(plant)
 
 
 def plant_table(plant: Plant) -> dict[str, Any]:

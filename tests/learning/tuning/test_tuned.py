@@ -13,9 +13,20 @@ import numpy as np
 import pytest
 from toy_plants import Array, tanks
 
-from fusion_sfdia.learning.tuning.tuned import ModelChangedWarning, read_document, response, warn_of_change, write_document
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.detectors.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.learning.tuning.tuned import (
+    ModelChangedWarning,
+    acting_plant,
+    read_document,
+    response,
+    warn_of_change,
+    write_document,
+)
+from fusion_sfdia.models.two_tanks.plant import two_tanks
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.signals import Sensor, Signal
+from fusion_sfdia.plant.uncertainty import Disturbance, Uncertainty
 
 
 def test_a_document_is_read_as_it_was_written(tmp_path: Path) -> None:
@@ -95,3 +106,18 @@ def test_a_plant_that_cannot_be_evaluated_beside_its_start_is_not_watched() -> N
     ready = tank()
     object.__setattr__(ready, "step", fails)
     assert response(ready) == []
+
+
+@pytest.mark.parametrize("name", ["kf-chi2", "loo-chi2"])
+def test_a_filter_estimates_learnt_disturbances_by_what_it_claims(name: str, registrations: None) -> None:
+    leak = Disturbance("leak", state=np.array([-0.01, 0.0]), reading=np.zeros(4), sd=0.2, time_constant=3600.0)
+    plant = replace(two_tanks(), uncertainty=Uncertainty(disturbances=(leak,)))
+    states = len(plant.states)
+    assert len(acting_plant(plant, registry.find_detector(name)).states) == states + 1
+    assert acting_plant(plant, registry.find_detector("chebyshev")) is plant
+
+    class Own(CentralFilter):
+        filter_model = None  # type: ignore[assignment]
+
+    registry.register_detector("own", "a detector of another package that keeps its estimate fixed", Own)
+    assert acting_plant(plant, registry.find_detector("own")) is plant
