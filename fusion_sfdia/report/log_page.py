@@ -5,7 +5,6 @@ First what was found, a sentence each, then each finding with its picture; stati
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -19,14 +18,14 @@ from numpy.typing import NDArray
 
 from fusion_sfdia import __version__
 from fusion_sfdia.common.files import atomic_write
-from fusion_sfdia.common.numerals import for_json
 from fusion_sfdia.detectors.verdicts import Verdict
 from fusion_sfdia.diagnosis.diagnose import Diagnosis
 from fusion_sfdia.diagnosis.events import Event
 from fusion_sfdia.diagnosis.sentences import KINDS, Words, confidence_of, kind_of, others_of, size_of
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.figure_files import figure_svg
-from fusion_sfdia.report.log_figures import LONGEST, near, on_screen, overview, short, time_line
+from fusion_sfdia.report.log_figures import LONGEST, near, overview, short, time_line
+from fusion_sfdia.report.on_screen import on_screen
 from fusion_sfdia.report.page import inline, page_environment, part
 from fusion_sfdia.report.plots import panels
 
@@ -52,7 +51,7 @@ class About(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """A figure of the page. plot: what figures.js needs, see `on_screen`, as JSON."""
+    """A figure of the page. plot: what figures.js needs, see `on_screen`."""
 
     title: str
     svg: Markup
@@ -138,9 +137,9 @@ def overview_drawn(plant: Plant, y: NDArray[np.float64], found: Diagnosis) -> Dr
 
 
 def _drawn(found: Diagnosis, name: str, title: str, draw: Callable[[], Figure], caption: str) -> Drawn:
-    plots: list[Any] = []
-    svg = figure_svg(name, draw, text="none", laid_out=lambda figure: plots.append(on_screen(figure, found)))
-    return Drawn(title, inline(svg, name, title), caption, json.dumps(for_json(plots[0])))
+    plots: list[str] = []
+    svg = figure_svg(name, draw, text="none", laid_out=lambda figure: plots.append(on_screen(figure, found.clock)))
+    return Drawn(title, inline(svg, name, title), caption, plots[0])
 
 
 def _time_line(found: Diagnosis) -> Figure:

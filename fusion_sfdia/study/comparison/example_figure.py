@@ -66,8 +66,8 @@ def draw_example(plant: Plant, examples: Mapping[str, Mapping[str, Array]], name
     for name, one in sorted(examples.items(), key=lambda item: item[0] in named):  # the named on top
         look = {k: v for k, v in look_of[name].items() if k in ("color", "linestyle")} if name in named else {"color": GREY}
         label = entry(name) if name in named else None
-        restored.plot(t, one[f"{PREFIX}reconstruction"], linewidth=1.3, label=label, **look)
-        scores.plot(t, np.maximum(one[f"{PREFIX}score"], LEAST_SCORE), linewidth=1.3, label=label, **look)
+        restored.plot(t, one[f"{PREFIX}reconstruction"], linewidth=1.3, label=label, gid=name, **look)
+        scores.plot(t, np.maximum(one[f"{PREFIX}score"], LEAST_SCORE), linewidth=1.3, label=label, gid=name, **look)
     if set(examples) - set(named):
         scores.plot([], [], color=GREY, label=OTHERS)
     scores.axhline(1.0, color="black", linewidth=1.0)
@@ -86,7 +86,8 @@ def draw_example(plant: Plant, examples: Mapping[str, Mapping[str, Array]], name
     step = t[1] - t[0] if t.size > 1 else 1.0
     sides = (float(t[0] - step / 2), float(t[-1] + step / 2), len(names) - 0.5, -0.5)
     colours, levels = ListedColormap(COLOURS), BoundaryNorm(np.arange(len(COLOURS) + 1) - 0.5, len(COLOURS))
-    verdicts.imshow(rows, cmap=colours, norm=levels, extent=sides, aspect="auto", interpolation="nearest")
+    image = verdicts.imshow(rows, cmap=colours, norm=levels, extent=sides, aspect="auto", interpolation="nearest")
+    image.format_cursor_data = lambda code: VERDICTS[int(code)]
     verdicts.set_yticks(np.arange(len(names)), names, fontsize=7)
     verdicts.grid(visible=False)
     verdicts.tick_params(axis="y", length=0)

@@ -69,7 +69,7 @@ def draw_overview(cells: Cells, measures: Mapping[str, Measure]) -> Drawing:
         heat(axis, values, detectors, plants, form=form, log=measure.decades, less=measure.less)
     for i, axis in enumerate(axes):
         if i % 4:
-            axis.set_yticklabels([])
+            axis.tick_params(labelleft=False)
     return figure
 
 
@@ -83,7 +83,7 @@ def draw_roc(cells: Mapping[str, ComparisonCell], conditions: Sequence[str], nam
             curve = metrics.roc(scores, active)
             style = {k: v for k, v in look[detector].items() if k != "marker"}
             shown = detector if detector in named else OTHERS
-            axis.plot(*curve[:2], label=entry(shown), drawstyle="steps-post", **style)
+            axis.plot(*curve[:2], label=entry(shown), gid=detector, drawstyle="steps-post", **style)
         chance = np.geomspace(1e-4, 1.0, 100)
         axis.plot(chance, chance, color="0.6", linewidth=0.8)
         least = min(1.0 / cell["trunk"].size for cell in cells.values())
@@ -126,8 +126,9 @@ def draw_magnitudes(cells: Mapping[str, ComparisonCell], named: Collection[str])
                 values = [e.value if e.n >= LEAST else np.nan for e in found]
                 shift = 1.0 + 0.02 * (i - len(cells) / 2)  # lines that coincide stay visible
                 shown = detector if detector in named else OTHERS
-                axis.plot(np.array(sizes) * shift, values, markersize=3.5, linewidth=1.2, label=entry(shown), **look[detector])
-            axis.set_xscale("log")
+                style = {"markersize": 3.5, "linewidth": 1.2, **look[detector]}
+                axis.plot(np.array(sizes) * shift, values, label=entry(shown), gid=detector, **style)
+            axis.set(xscale="log", xlim=(sizes[0] / 1.5, sizes[-1] * 1.5))
             axis.xaxis.set_minor_formatter(NullFormatter())
             axis.set_xticks(sizes, [f"{m:g}" for m in sizes])
             if r < 2:
@@ -180,7 +181,7 @@ def draw_panels(cells: Mapping[str, ComparisonCell], shown: Sequence[Panel]) -> 
         ]
         heat(axis, np.array(values), list(cells), [k.label for k in panel.columns], less=panel.less)
     for axis in axes[1:]:
-        axis.set_yticklabels([])
+        axis.tick_params(labelleft=False)
     return figure
 
 
