@@ -18,12 +18,12 @@ from fusion_sfdia import __version__
 from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.common.errors import NotApplicableError
 from fusion_sfdia.common.rate import Rate, lasting
+from fusion_sfdia.common.steps import Each, in_silence
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.detectors.silent import require_scale, silent, silent_scores
 from fusion_sfdia.learning.commissioning.commission import Commissioning, as_runs, commissioned
 from fusion_sfdia.learning.commissioning.parameters import moved
 from fusion_sfdia.learning.commissioning.refusals import require_moving
-from fusion_sfdia.learning.frozen_model.commissioned_model import Each, in_silence
 from fusion_sfdia.learning.tuning.delays import Delays, delays
 from fusion_sfdia.learning.tuning.doubts import remarks
 from fusion_sfdia.learning.tuning.drift import require_no_drift
