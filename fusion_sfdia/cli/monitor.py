@@ -123,12 +123,12 @@ def monitored(chosen: argparse.Namespace, out: Path, learnt: Any, say: Any) -> i
         with printed_warnings():
             found = monitor.diagnose(data, each=progress)
         of_log = LogUnits(found.plant, data.columns)
-        about = About(chosen.data.name, found.detector, basis=found.basis)
+        about = About(chosen.data.name, found.detector, found.misread, found.basis)
         with all_or_none(out, instead_of=OF_BEFORE) as new:
             write_diagnosis(new, found.plant, found.log.y, found.log.u, found, about, of_log, suffix)
             with atomic_write(new / OWN_FILE) as file:
                 file.write(plain(f"{monitor}\n\n{found}\n"))
-    known = str(monitor).splitlines()  # was said when it was learnt, and is in monitor.txt
+    known = [*str(monitor).splitlines(), *str(data).splitlines()]  # was said when it was learnt, and read
     news = replace(of_log.diagnosis(found), of_log=tuple(line for line in found.of_log if line not in known))
     say(f"{as_text(news, about.detector)}\n{', '.join((OWN_FILE, *files(suffix)))}: in {out}")
     if chosen.json:

@@ -62,7 +62,8 @@ class Drawn(NamedTuple):
 def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosis, about: About) -> None:
     """Write report.html of readings y (K, N), NaN where missing, whole or not at all; every name and text is escaped."""
     passing, drawable = found.passing, len(found.t) > 1
-    learnt = found.of_log if about.basis else ()  # by which it is judged, not what was found in it
+    # by which it is judged, not what was found in it
+    learnt = [line for line in found.of_log if line not in about.notes] if about.basis else []
     lines = [line_drawn(found)] if len(found.events) > 1 else []
     strips = [overview_drawn(plant, y, found)] if found.after is not None and drawable else []
     findings = findings_of(plant, y, found, MOST_FIGURES if drawable else 0)
@@ -83,7 +84,7 @@ def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosi
             plant=plant.name,
             when=found.clock.span(float(found.t[0]), float(found.t[-1])),
             zone=found.clock.zone,
-            remarks=[line for line in (*found.remarks, *about.notes) if line not in (found.limit, *learnt)],
+            remarks=[line for line in dict.fromkeys((*found.remarks, *about.notes)) if line not in (found.limit, *learnt)],
             learnt=learnt,
             limit=found.limit,
             findings=findings,

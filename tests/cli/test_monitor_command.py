@@ -52,6 +52,33 @@ def healthy(tmp_path: Path) -> list[str]:
     return [*(a for path in logs for a in ("--healthy", path)), "--inputs", "load", "--ignore", "remark"]
 
 
+def test_a_log_in_another_unit_than_the_healthy_ones_is_said_to_be(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], undrawn: None
+) -> None:
+    paths, out = [], tmp_path / "out"
+    for seed, factor in ((0, 1.0), (21, 1000.0)):
+        t, y, u = made(seed)
+        paths.append(written(tmp_path / f"{seed}.csv", Log(t, factor * (y + 100.0), u)))
+    command = [
+        "monitor",
+        "--healthy",
+        paths[0],
+        "--data",
+        paths[1],
+        "--inputs",
+        "load",
+        "--ignore",
+        "remark",
+        "--out",
+        str(out),
+    ]
+    assert main(command) == 1
+    said, page = capsys.readouterr().out, (out / "report.html").read_text(encoding="utf-8")
+    for name in "abcd":
+        text = f"{name} looks 1000 times too large: usually"
+        assert said.count(text) == page.count(text) == 1 and page.index(text) < page.index("What was learnt")
+
+
 def test_learning_and_diagnosing_show_the_time_that_is_left(
     healthy: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, undrawn: None
 ) -> None:

@@ -27,6 +27,7 @@ from fusion_sfdia.learning.monitor.saved import packed, unpacked
 from fusion_sfdia.learning.monitor.unmodelled_logs import load, signals_of
 from fusion_sfdia.logs.loaded_log import LoadedLog
 from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap, load_map
+from fusion_sfdia.logs.suspects import unlike_healthy
 from fusion_sfdia.plant.gaps import LONG, SKIPPED
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
@@ -295,7 +296,8 @@ class Monitor:
         ValueError
             Where a column is not there.
         """
-        return load(source, self.channels.sensors, self.channels.inputs, _map(log_map), absent_sensors=absent_sensors)
+        found = load(source, self.channels.sensors, self.channels.inputs, _map(log_map), absent_sensors=absent_sensors)
+        return found._replace(findings=(*found.findings, *unlike_healthy(self.channels.sensors, self.logs, found.log)))
 
     def diagnose(
         self, log: Any, clock: Clock = SECONDS, *, log_map: LogMap | str | Path | None = None, each: Each = in_silence
@@ -321,18 +323,20 @@ class Monitor:
         """
         source = Path(log).name if isinstance(log, str | Path) else "a log"
         if isinstance(log, Log):
-            log = LoadedLog(log, clock, ())
+            log = LoadedLog(log, clock, tuple(unlike_healthy(self.channels.sensors, self.logs, self._fitting(log))))
         elif not isinstance(log, LoadedLog):
             log = self.read(log, log_map)
         verdicts = self.judge(log.log, each)
         rows = sum(len(v.t) for v in verdicts)
         expected = f"without a fault some {self.learnt.limits.rate[0] * rows:.2g} of these {rows} rows would be in alarm"
-        found = diagnosed(self.channels, self.dt, verdicts, (self.promise, expected, *self.remarks), log.clock)
+        misread = tuple(f.text for f in log.findings if f.kind == "unit suspected")
+        found = diagnosed(self.channels, self.dt, verdicts, (*misread, self.promise, expected, *self.remarks), log.clock)
         known = tuple(e for e in found.events if not (e.fault == "dropout" and e.hypothesis in log.absent))
         found = replace(found, events=known)  # that a sensor is silent which the log is known not to have is no finding
         return Result.of(
-            found, plant=self.plant, detector=NAME, log=self._on_grid(log.log), columns=log.columns, source=source, basis=BASIS
-        )
+            found, plant=self.plant, detector=NAME, log=self._on_grid(log.log), columns=log.columns, source=source, basis=BASIS,
+            misread=misread,
+        )  # fmt: skip
 
     def judge(self, log: Log, each: Each = in_silence) -> list[Verdicts]:
         """The verdicts on a log, of its pieces between gaps of more than 60 rows.
