@@ -17,6 +17,7 @@ from fusion_sfdia.diagnosis.events import Event, ProcessEvent, UndecidedEvent, l
 from fusion_sfdia.diagnosis.sentences import KINDS
 from fusion_sfdia.plant.gaps import Gap
 from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.report.log_units import with_brackets
 from fusion_sfdia.report.plots import COLOURS, TimeAxis, shade
 
 Array = NDArray[Any]
@@ -193,11 +194,6 @@ def near(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event], poin
     at.label_on(strip)
     figure.legend(*upper.get_legend_handles_labels(), loc="outside upper left", ncols=4, fontsize=7, columnspacing=1.0)
     return figure
-
-
-def with_brackets(name: str, unit: str, between: str = " ") -> str:
-    """A name with its unit beside an axis; the unit 1 is none."""
-    return name if unit == "1" else f"{name}{between}[{unit}]"
 
 
 def _extent(t: Array, events: Sequence[Event]) -> tuple[int, int, int]:

@@ -301,10 +301,11 @@ def test_a_page_alone_names_no_files_beside_it(tmp_path: Path) -> None:
     assert "Files beside this page" not in alone
 
 
-def test_a_figure_of_a_sensor_without_a_unit_shows_none() -> None:
+def test_a_figure_and_a_title_of_a_sensor_without_a_unit_show_none() -> None:
     plain = replace(PLANT, sensors=tuple(replace(s, unit="1") for s in PLANT.sensors))
     upper, lower, _ = near(plain, BIASED, BOTH, [e for e in BOTH.events if e.hypothesis == "q12"]).axes
     assert (upper.get_ylabel(), lower.get_ylabel()) == ("q12", "difference")
+    assert LogUnits(plain, ()).titles(inputs=False) == list(PLANT.sensor_names)
 
 
 def test_names_beside_an_axis_are_tags_or_few_words() -> None:
