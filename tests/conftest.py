@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from pathlib import Path
 
 import pytest
@@ -66,12 +66,18 @@ def shared_fixtures() -> Path:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures of this process are empty: for tests of other things, which take most of their time to draw."""
+    from matplotlib.figure import Figure
+
     from fusion_sfdia.report import log_page, log_report
     from fusion_sfdia.study.experiments import runner
 
+    def nothing(*_: object, laid_out: Callable[[Figure], object] = lambda figure: None) -> str:
+        laid_out(Figure())
+        return "<svg></svg>"
+
     for module in (runner, log_report):
-        monkeypatch.setattr(module, "write_figure", lambda *_, **__: "<svg></svg>")
-    empty = log_page.Drawn("", Markup("<svg></svg>"), "", "{}")
+        monkeypatch.setattr(module, "write_figure", nothing)
+    empty = log_page.Drawn("", Markup("<svg></svg>"), "", "")
     monkeypatch.setattr(log_page, "_drawn", lambda *_: empty)
 
 

@@ -84,13 +84,17 @@ def _monitor(chosen: argparse.Namespace) -> int:
 def _learnt(chosen: argparse.Namespace, say: Any) -> Any:
     """The monitor: read, or learnt and, where that is asked for, saved."""
     from fusion_sfdia.learning.monitor.monitor import FALSE_ALARM, Monitor
+    from fusion_sfdia.report.progress import progress
 
     if chosen.monitor and not chosen.update:
         return Monitor.load(chosen.monitor)
-    monitor = Monitor.load(chosen.monitor).update(chosen.update, log_map=chosen.map) if chosen.update else Monitor.fit(
-        chosen.healthy, inputs=chosen.inputs, ignore=chosen.ignore, log_map=chosen.map,
-        false_alarm=chosen.false_alarm or FALSE_ALARM, say=lambda path, log: say(f"{path}:\n{indent(str(log), '  ')}"),
-    )  # fmt: skip
+    if chosen.update:
+        monitor = Monitor.load(chosen.monitor).update(chosen.update, log_map=chosen.map, each=progress)
+    else:
+        monitor = Monitor.fit(
+            chosen.healthy, inputs=chosen.inputs, ignore=chosen.ignore, log_map=chosen.map, each=progress,
+            false_alarm=chosen.false_alarm or FALSE_ALARM, say=lambda path, log: say(f"{path}:\n{indent(str(log), '  ')}"),
+        )  # fmt: skip
     if chosen.save:
         monitor.save(chosen.save)
         say(f"{chosen.save}: what was learnt")
@@ -106,7 +110,7 @@ def monitored(chosen: argparse.Namespace, out: Path, learnt: Any, say: Any) -> i
     from fusion_sfdia.report.log_page import About
     from fusion_sfdia.report.log_report import OF_BEFORE, OWN_FILE, as_text, files, require_apart, write_diagnosis
     from fusion_sfdia.report.log_units import LogUnits
-    from fusion_sfdia.report.progress import working
+    from fusion_sfdia.report.progress import progress
     from fusion_sfdia.report.sample_tables import require_tables
 
     suffix = f".{chosen.tables}"
@@ -116,15 +120,15 @@ def monitored(chosen: argparse.Namespace, out: Path, learnt: Any, say: Any) -> i
         monitor = learnt()
         data = monitor.read(chosen.data, chosen.map, absent_sensors=chosen.absent_sensors)
         say(f"{chosen.data}:\n{indent(str(data), '  ')}")
-        with printed_warnings(), working("diagnosing"):
-            found = monitor.diagnose(data)
+        with printed_warnings():
+            found = monitor.diagnose(data, each=progress)
         of_log = LogUnits(found.plant, data.columns)
-        about = About(chosen.data.name, found.detector, basis=found.basis)
+        about = About(chosen.data.name, found.detector, found.misread, found.basis)
         with all_or_none(out, instead_of=OF_BEFORE) as new:
             write_diagnosis(new, found.plant, found.log.y, found.log.u, found, about, of_log, suffix)
             with atomic_write(new / OWN_FILE) as file:
                 file.write(plain(f"{monitor}\n\n{found}\n"))
-    known = str(monitor).splitlines()  # was said when it was learnt, and is in monitor.txt
+    known = [*str(monitor).splitlines(), *str(data).splitlines()]  # was said when it was learnt, and read
     news = replace(of_log.diagnosis(found), of_log=tuple(line for line in found.of_log if line not in known))
     say(f"{as_text(news, about.detector)}\n{', '.join((OWN_FILE, *files(suffix)))}: in {out}")
     if chosen.json:

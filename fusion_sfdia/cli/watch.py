@@ -202,9 +202,9 @@ def _watched(chosen: argparse.Namespace, webhook: Webhook | None, refused: Remar
             _page(chosen, saved, status) as page,
         ):
             if chosen.opcua:
-                _server(chosen, saved)
+                _server(chosen, saved, page)
             elif chosen.mqtt:
-                _broker(chosen, saved)
+                _broker(chosen, saved, page)
             else:
                 _text(chosen, saved, log_map, page)
     finally:
@@ -278,21 +278,25 @@ def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap, page: 
     rows.end()
 
 
-def _server(chosen: argparse.Namespace, saved: SavedWatch) -> None:
+def _server(chosen: argparse.Namespace, saved: SavedWatch, page: LivePage | None) -> None:
     import asyncio
 
     from fusion_sfdia.live.nodes import load_nodes
     from fusion_sfdia.live.opcua import watch_server
 
     nodes = load_nodes(chosen.nodes, saved.watch.detector.plant)
+    if page is not None:
+        page.show_in(nodes.columns(saved.watch.detector.plant))
     asyncio.run(watch_server(saved, chosen.opcua, nodes, allow_plain_password=chosen.allow_plain_password))
 
 
-def _broker(chosen: argparse.Namespace, saved: SavedWatch) -> None:
+def _broker(chosen: argparse.Namespace, saved: SavedWatch, page: LivePage | None) -> None:
     from fusion_sfdia.live.mqtt import watch_broker
     from fusion_sfdia.live.topics import load_topics
 
     topics = load_topics(chosen.topics, saved.watch.detector.plant)
+    if page is not None:
+        page.show_in(topics.columns(saved.watch.detector.plant))
     watch_broker(saved, chosen.mqtt, topics, allow_plain_password=chosen.allow_plain_password)
 
 

@@ -292,7 +292,7 @@ class Diagnosis:
         return found
 
     def table(self) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
-        """Names of columns and a row for each event; kind, sd and nominal only where the process is tested.
+        """Names of columns, the same for every detector, and a row for each event; sd and nominal are NaN of what has none.
 
         Returns
         -------
@@ -312,10 +312,6 @@ class Diagnosis:
             )
             for e in self.events
         ]
-        if not self.process_hypotheses:
-            rows = [(e.hypothesis, e.start, e.end, e.size, e.unit, e.open) for e in self.events]
-            known = ("sensor", "start_s", "end_s", "size", "unit", "open")
-            return (*known, *added), [(*a, *b) for a, b in zip(rows, more, strict=True)]
         spread = [(getattr(e, "sd", np.nan), getattr(e, "nominal", np.nan)) for e in self.events]
         return (
             ("kind", "hypothesis", "start_s", "end_s", "size", "sd", "unit", "nominal", "open", *added),

@@ -48,7 +48,7 @@ def explained(
     sensor first and last sample); the others first, then sensors and other faults in order of their start.
     """
     sensors = detector.plant.sensors
-    found = [e for e in events if e.kind not in ("sensor", "other")]
+    found = [_accepted(detector, t, decisions, e) for e in events if e.kind not in ("sensor", "other")]
     faults: list[Event] = [e for e in events if e.kind == "other"]
     silent = dropouts(y)
     for i, sensor in enumerate(sensors):
@@ -165,6 +165,15 @@ def may_be_outliers(error: Array, sd: Array) -> bool:
     """Whether at most `FEW` residuals (K,) of an event that is over are large: a healthy sensor may have as many outliers."""
     known = np.isfinite(error) & np.isfinite(sd)
     return bool(known.any() and np.sum(np.abs(error[known]) > QUIET * sd[known]) <= FEW)
+
+
+def _accepted(detector: Detector, t: Array, decisions: Decision, e: Event) -> Event:
+    """A change of the process with its probability when it was accepted, where the detector states one and prefers it."""
+    names = (*detector.hypotheses, *(h.name for h in detector.process_hypotheses))
+    if e.kind != "process" or decisions.probability is None or e.hypothesis not in names:
+        return e
+    probability = float(decisions.probability[int(np.searchsorted(t, e.start)), names.index(e.hypothesis)])
+    return replace(e, confidence=probability) if probability >= EVEN else e
 
 
 def rivals_at(detector: Detector, decisions: Decision, i: int, k: int) -> tuple[float, tuple[str, ...]]:

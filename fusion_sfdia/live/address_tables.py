@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from fusion_sfdia.common.arguments import number, require_names, require_unique, shown
+from fusion_sfdia.logs.columns import Source
+from fusion_sfdia.logs.conversion import conversion
 from fusion_sfdia.plant.plant import Plant
 
 OF_SENSOR = ("value", "sigma", "verdict", "health")
@@ -101,6 +103,17 @@ def _in_words(address: tuple[Hashable, ...]) -> str:
 def units_of(plant: Plant) -> dict[str, str]:
     """The unit of each sensor and input."""
     return {s.name: s.unit for s in plant.inputs} | {s.name: s.unit for s in plant.sensors}
+
+
+def columns_of(plant: Plant, read: Mapping[str, tuple[str, str]]) -> tuple[Source, ...]:
+    """What is read as columns of a log, by sensor or input: (tag, unit), the unit "" for the plant's."""
+    places = [(s.name, i, False) for i, s in enumerate(plant.sensors)] + [(s.name, j, True) for j, s in enumerate(plant.inputs)]
+    wanted, found = units_of(plant), []
+    for name, position, is_input in places:
+        if name in read:
+            tag, unit = read[name]
+            found.append(Source(tag, name, position, is_input, unit or wanted[name], conversion(unit, wanted[name])))
+    return tuple(found)
 
 
 def require_readers(path: str | Path, names: Iterable[str], reader: Callable[[str, str], object], plant: Plant) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any, NamedTuple
 
 from fusion_sfdia.common.arguments import require_names, shown
 from fusion_sfdia.live.address_tables import (
+    columns_of,
     load_tables,
     require_bounds,
     require_readers,
@@ -19,6 +21,7 @@ from fusion_sfdia.live.address_tables import (
 from fusion_sfdia.live.live_readings import Reader
 from fusion_sfdia.live.security import Connection, require_connection, require_security
 from fusion_sfdia.live.values import MAX_LAG, MAX_LEAD
+from fusion_sfdia.logs.columns import Source
 from fusion_sfdia.logs.conversion import conversion
 from fusion_sfdia.logs.numbers import Numbers
 from fusion_sfdia.plant.plant import Plant
@@ -67,6 +70,13 @@ class Nodes(Connection):
     def sources(self) -> dict[str, NodeSource]:
         """Where the value of each sensor and input comes from."""
         return {name: NodeSource(at) if isinstance(at, str) else NodeSource(**at) for name, at in self.read.items()}
+
+    def columns(self, plant: Plant) -> tuple[Source, ...]:
+        """The nodes as columns of a log: the text of an id is the tag, "TT-101.PV" of "ns=2;s=TT-101.PV"."""
+        texts = {name: re.search(r"(?:^|;)s=(.+)", source.node) for name, source in self.sources.items()}
+        return columns_of(
+            plant, {name: (found[1] if found else name, self.sources[name].unit) for name, found in texts.items()}
+        )
 
     def reader(self, name: str, unit: str) -> Reader:
         """How the values of a sensor or an input in this unit are read; ValueError for a unit that does not convert to it."""

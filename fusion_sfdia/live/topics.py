@@ -14,6 +14,7 @@ import numpy as np
 
 from fusion_sfdia.common.arguments import require_names, shown
 from fusion_sfdia.live.address_tables import (
+    columns_of,
     load_tables,
     require_bounds,
     require_readers,
@@ -23,6 +24,7 @@ from fusion_sfdia.live.address_tables import (
 from fusion_sfdia.live.live_readings import DoubleKeyError, Reader, json_value
 from fusion_sfdia.live.security import Connection, require_connection
 from fusion_sfdia.live.values import MAX_LAG, MAX_LEAD, TimedValue
+from fusion_sfdia.logs.columns import Source
 from fusion_sfdia.logs.conversion import conversion
 from fusion_sfdia.logs.log_map import OPC_DA, OPC_UA, LogMap
 from fusion_sfdia.logs.numbers import Numbers, good_codes
@@ -93,6 +95,12 @@ class Topics(Connection):
     def times(self) -> LogMap:
         """How times are written; ValueError for a format or zone that there is not."""
         return LogMap(format=self.time_format, tz=self.tz, decimal=self.decimal)
+
+    def columns(self, plant: Plant) -> tuple[Source, ...]:
+        """The topics as columns of a log, of which they are the tags, with the key where it is none of the usual ones."""
+        usual = TopicSource("").value
+        tags = {name: s.topic if s.value == usual else f"{s.topic} {s.value}" for name, s in self.sources.items()}
+        return columns_of(plant, {name: (tag, self.sources[name].unit) for name, tag in tags.items()})
 
     def reader(self, name: str, unit: str) -> Reader:
         """How the values of a sensor or an input in this unit are read; ValueError for a unit that does not convert to it."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,8 @@ CHECKED = ("input unit suspected", "unit suspected", "repeat", "resolution", "pe
 Array = NDArray[Any]
 
 ROWS, STEPS, PARTS = 500, 2000, 4  # at the beginning of a log that are predicted, and steps of the model for them
+SELDOM = 0.002  # share of healthy readings, those furthest out
+LEAST_FACTOR = 50.0  # by which a reading is off, to be a mix-up of units and not another operation, where there is no model
 CLEAR = 10.0  # standard deviations of a sensor: a smaller prediction tells nothing about a unit
 
 
@@ -141,10 +143,50 @@ def suspected_units(plant: Plant, log: Log) -> list[Finding]:
         parts = [float(np.median(readings[part])) for part in np.array_split(with_reading, PARTS)]
         if best is None or any(abs(best(p) - e) > min(0.5 * abs(e - best.zero), abs(p - e)) for p in parts):
             continue
-        unit = "" if sensor.unit == "1" else f" {sensor.unit}"
-        text = f"{sensor.name} {best.text}: usually {parts[0]:.4g}{unit}, the model predicts {e:.4g}; state its unit in a map"
+        usual = _usual(parts[0], sensor.unit)
+        text = f"{sensor.name} {best.text}: usually {usual}, the model predicts {e:.4g}; state its unit in a map"
         found.append(Finding("unit suspected", sensor.name, with_reading.size, text))
     return found
+
+
+def unlike_healthy(sensors: Sequence[Signal], healthy: Sequence[Log], log: Log) -> list[Finding]:
+    """Findings on the sensors whose readings a mix-up of units brings to those of healthy logs, where there is no model.
+
+    Nine tenths of a sensor's readings are outside all but SELDOM of the healthy ones, and the mix-up, see `mix_up`, brings
+    their quantiles to those of these, and their median in each of PARTS parts of the log into the range of these, or to within
+    their spread of it.
+    What a bias or another operation explains as well is not suspected: factors below LEAST_FACTOR, and a mix-up that does not
+    bring the movement from row to row to the healthy one.
+    """
+    found, healthy_readings = [], np.concatenate([one.y for one in healthy])
+    for i, sensor in enumerate(sensors):
+        known, own = (y[np.isfinite(y[:, i]), i] for y in (healthy_readings, log.y))
+        if known.size < PARTS or own.size < PARTS or np.ptp(known) == 0 or np.ptp(own) == 0:
+            continue
+        low, high = np.quantile(known, (SELDOM / 2, 1 - SELDOM / 2))
+        if np.mean((own >= low) & (own <= high)) > 0.1:
+            continue
+        spread, shares = float(np.std(known)), np.linspace(0.05, 0.95, 19)
+        unit = "" if sensor.unit == "1" else sensor.unit
+        best = mix_up(np.quantile(own, shares), np.quantile(known, shares), unit, spread / 2)
+        if best is None or (not best.offset and 1 / LEAST_FACTOR < abs(best.factor) < LEAST_FACTOR):
+            continue
+        off = np.log(_movement(own) / _movement(known))
+        if abs(off + np.log(abs(best.factor))) > abs(off):
+            continue
+        parts = [float(best(np.median(part))) for part in np.array_split(own, PARTS)]
+        if not all(low - spread <= p <= high + spread for p in parts):
+            continue
+        usual, healthy_usual = (_usual(values, unit) for values in (own, known))
+        cure = "state its unit in a map" if unit else "convert it, or state the units of both logs"
+        text = f"{sensor.name} {best.text}: usually {usual}, in the healthy logs {healthy_usual}; {cure}"
+        found.append(Finding("unit suspected", sensor.name, own.size, text))
+    return found
+
+
+def _movement(values: Array) -> float:
+    """How much values (K,), which are not all equal, change from one to the next."""
+    return float(np.mean(np.abs(np.diff(values))))
 
 
 def suspected_inputs(plant: Plant, log: Log) -> dict[int, MixUp]:
@@ -178,13 +220,16 @@ def _corrected(log: Log, mixed: dict[int, MixUp]) -> Log:
 
 
 def _of_input(signal: Signal, u: Array, best: MixUp) -> Finding:
-    unit = "" if signal.unit == "1" else f" {signal.unit}"
-    text = (
-        f"input {signal.name} {best.text}: usually {np.median(u[u != 0]):.4g}{unit}, its nominal value is {signal.nominal:.4g}"
-    )
+    usual, nominal = _usual(u[u != 0], signal.unit), f"{signal.nominal:.4g}"
+    text = f"input {signal.name} {best.text}: usually {usual}, its nominal value is {nominal}"
     return Finding(
         "input unit suspected", signal.name, u.size, f"{text}, and the readings contradict it; state its unit in a map"
     )
+
+
+def _usual(values: Any, unit: str) -> str:
+    """The median of values, with their unit."""
+    return f"{np.median(values):.4g}" + ("" if unit in ("", "1") else f" {unit}")
 
 
 def _predicted(plant: Plant, log: Log) -> Array | None:

@@ -279,7 +279,9 @@ def _add_missing(
     if lacking and not absent:
         near = _similar(lacking, unknown)
         meant = f"did you mean {some(list(near.values()))} for {some(list(near))}? " if near else ""
-        other = "name another plant with --plant if it is not this one; " if len(lacking) == len(plant.sensors) else ""
+        other = ""
+        if len(lacking) == len(plant.sensors):
+            other = "name another plant with --plant if it is not this one (`init` drafts one, `monitor` needs none); "
         problems.add(
             "sensors",
             f"no column for the sensors {some(lacking)} of plant {plant.name!r}; {other}{meant}add them (empty where not "

@@ -16,8 +16,7 @@ OFF, FITS, BETTER, WITHIN = 0.15, 0.1, 5.0, 2.0
 FACTORS = {10.0: "", 100.0: "percent for a fraction?", 1e3: "", 1e5: "", 1e6: "", 60.0: "per minute?", 3600.0: "per hour?"}
 FACTORS |= {3.6: "", 180.0 / np.pi: "degrees for radians?", 30.0 / np.pi: "rpm for rad/s?", 14.5038: "psi for bar?"}
 UNITS = ("degC", "degF", "barg", "psig", "bar", "psi", "kPa", "lb/h", "inch", "ft")  # tried where they convert to the plant's
-
-
+UNSTATED = (("degF", "degC"), ("degC", "degF"), ("K", "degC"), ("degC", "K"))  # tried where no unit is known: (as, not as)
 PRESSURE_FACTORS = (1.0, 10.0, 0.1, 100.0, 0.01, 1e3, 1e-3, 1e5, 1e-5, 1e6, 1e-6, 14.5038, 1 / 14.5038)
 
 
@@ -40,6 +39,7 @@ class MixUp(NamedTuple):
 
 def mix_up(y: Array, expected: Array | float, unit: str, noise: float = 0.0) -> MixUp | None:
     """Return the mix-up of units that explains values y (K,) where others are expected, in that unit; None where none does.
+    unit: "" where it is not known.
 
     With |e| the median of what is expected, and the error the median of the differences from it: where the error is above
     OFF |e|, the mix-up with the smallest explains y if that is within FITS |e| + noise, the standard deviation of a reading,
@@ -81,21 +81,21 @@ def input_mix_up(u: Array, signal: Signal) -> MixUp | None:
 
 
 def _mix_ups(unit: str) -> list[MixUp]:
-    found, gauge = [], _gauge_mix_ups(unit)
+    found, gauge = [], _gauge_mix_ups(unit) if unit else []
     for factor, hint in FACTORS.items():
         about = f" ({hint})" if hint else ""
         usual = not gauge or factor in PRESSURE_FACTORS
         found.append(MixUp(1 / factor, 0.0, f"looks {factor:.6g} times too large{about}", usual=usual))
         found.append(MixUp(factor, 0.0, f"looks {factor:.6g} times too small", usual=usual))
     found.append(MixUp(-1.0, 0.0, "looks of the wrong sign"))
-    for other in UNITS:
+    for other, own in [(other, unit) for other in UNITS] if unit else UNSTATED:
         try:
-            factor, offset = conversion(other, unit)
+            factor, offset = conversion(other, own)
         except ValueError:
             continue
         if (factor, offset) != (1.0, 0.0):
-            found.append(MixUp(factor, offset, f"looks as if in {other}, not {unit}"))
-        if offset:
+            found.append(MixUp(factor, offset, f"looks as if in {other}, not {own}"))
+        if offset and unit:
             found.append(MixUp(1 / factor, -offset / factor, f"looks as if converted from {other} twice"))
     return [*found, *gauge]
 

@@ -22,10 +22,12 @@ SUPERSCRIPTS = str.maketrans("-.0123456789", "⁻·⁰¹²³⁴⁵⁶⁷⁸⁹")
 SVG_DPI = 72  # of matplotlib's SVG, whose unit is the point
 
 
-def write_figure(folder: Path, name: str, draw: Callable[[], Figure]) -> str:
-    """Draw a figure, write folder/name.svg and folder/name.png, and return the SVG's text."""
+def write_figure(
+    folder: Path, name: str, draw: Callable[[], Figure], laid_out: Callable[[Figure], object] = lambda figure: None
+) -> str:
+    """Draw a figure, write folder/name.svg and folder/name.png, and return the SVG's text. laid_out: as in `figure_svg`."""
     png = io.BytesIO()
-    svg = figure_svg(name, draw, png)
+    svg = figure_svg(name, draw, png, laid_out=laid_out)
     for kind, content in (("svg", svg.encode()), ("png", png.getvalue())):
         with atomic_write(folder / f"{name}.{kind}", "wb") as file:
             file.write(content)

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
-from datetime import datetime, timedelta, tzinfo
-from itertools import pairwise
 from textwrap import fill
 from typing import Any
 
@@ -20,7 +17,7 @@ from fusion_sfdia.diagnosis.events import Event, ProcessEvent, UndecidedEvent, l
 from fusion_sfdia.diagnosis.sentences import KINDS
 from fusion_sfdia.plant.gaps import Gap
 from fusion_sfdia.plant.plant import Plant
-from fusion_sfdia.report.figure_files import SVG_DPI
+from fusion_sfdia.report.log_units import with_brackets
 from fusion_sfdia.report.plots import COLOURS, TimeAxis, shade
 
 Array = NDArray[Any]
@@ -50,54 +47,6 @@ def time_axis(found: Diagnosis) -> TimeAxis:
     if first is None:
         return TimeAxis(found.clock, 1.0, "s", "time (s)")
     return TimeAxis(found.clock, 1.0, "", f"time{f' ({zone})' if zone else ''} from {first:%Y-%m-%d} on")
-
-
-def on_screen(figure: Figure, found: Diagnosis) -> dict[str, Any]:
-    """What a script needs to read and zoom a figure that is laid out: {"time": [first, last], "offsets", "unit", "panels"}.
-
-    time: ends of the time axis, s since 1970, or a number of the unit. offsets: of the clock's zone (s), each with the time
-    from which it holds, [[first, 3600], [1774746000, 7200]] where summer time begins within. Of each panel its box [left,
-    top, right, bottom] in the units of the SVG, the ends of its y axis with their unit, the lines whose ids end with their
-    names, and the names of its rows, each one high, where it has names in place of numbers.
-    """
-    at, (width, height) = time_axis(found), figure.get_size_inches() * SVG_DPI
-    panels, time = [], (0.0, 1.0)
-    for axes in figure.axes:
-        if axes.get_label() == "<colorbar>":
-            continue
-        place, time, ends = axes.get_position(), axes.get_xlim(), axes.get_ylim()
-        ticks = zip(axes.get_yticks().tolist(), axes.get_yticklabels(), strict=True)
-        names = {} if (lines := axes.get_lines()) else {round(y): text.get_text() for y, text in ticks}
-        unit = re.search(r"\[([^][]*)\]$", axes.get_ylabel())
-        panels.append(
-            {
-                "box": [place.x0 * width, (1 - place.y1) * height, place.x1 * width, (1 - place.y0) * height],
-                "y": ends,
-                "unit": unit[1] if unit else "",
-                "lines": [str(line.get_gid()) for line in lines],
-                "rows": {"names": names, "first": ends[1] + 0.5, "span": ends[0] - ends[1]},
-            }
-        )
-    if found.clock.start is None:
-        return {"time": time, "offsets": [[time[0], 0.0]], "unit": at.unit, "panels": panels}
-    first, last = (86_400 * day for day in time)
-    return {"time": [first, last], "offsets": offsets(found.clock.start.tzinfo, first, last), "unit": "", "panels": panels}
-
-
-def offsets(zone: tzinfo | None, first: float, last: float) -> list[list[float]]:
-    """The offsets of a zone from UTC (s) between two times, each with the time from which it holds; times in s since 1970."""
-
-    def at(t: float) -> float:
-        return 0.0 if zone is None else (datetime.fromtimestamp(t, zone).utcoffset() or timedelta(0)).total_seconds()
-
-    found = [[first, at(first)]]
-    for low, high in pairwise([*np.arange(first, last, 86_400.0).tolist(), last]):
-        if at(high) != found[-1][1]:
-            while high - low > 0.5:
-                middle = (low + high) / 2
-                low, high = (middle, high) if at(middle) == found[-1][1] else (low, middle)
-            found.append([float(round(high)), at(high)])
-    return found
 
 
 def time_line(axes: Axes, found: Diagnosis, most: int = MOST_ROWS) -> None:
@@ -245,11 +194,6 @@ def near(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event], poin
     at.label_on(strip)
     figure.legend(*upper.get_legend_handles_labels(), loc="outside upper left", ncols=4, fontsize=7, columnspacing=1.0)
     return figure
-
-
-def with_brackets(name: str, unit: str, between: str = " ") -> str:
-    """A name with its unit beside an axis; the unit 1 is none."""
-    return name if unit == "1" else f"{name}{between}[{unit}]"
 
 
 def _extent(t: Array, events: Sequence[Event]) -> tuple[int, int, int]:

@@ -5,7 +5,6 @@ First what was found, a sentence each, then each finding with its picture; stati
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -19,14 +18,14 @@ from numpy.typing import NDArray
 
 from fusion_sfdia import __version__
 from fusion_sfdia.common.files import atomic_write
-from fusion_sfdia.common.numerals import for_json
 from fusion_sfdia.detectors.verdicts import Verdict
 from fusion_sfdia.diagnosis.diagnose import Diagnosis
 from fusion_sfdia.diagnosis.events import Event
 from fusion_sfdia.diagnosis.sentences import KINDS, Words, confidence_of, kind_of, others_of, size_of
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.figure_files import figure_svg
-from fusion_sfdia.report.log_figures import LONGEST, near, on_screen, overview, short, time_line
+from fusion_sfdia.report.log_figures import LONGEST, near, overview, short, time_line
+from fusion_sfdia.report.on_screen import on_screen
 from fusion_sfdia.report.page import inline, page_environment, part
 from fusion_sfdia.report.plots import panels
 
@@ -52,7 +51,7 @@ class About(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """A figure of the page. plot: what figures.js needs, see `on_screen`, as JSON."""
+    """A figure of the page. plot: what figures.js needs, see `on_screen`."""
 
     title: str
     svg: Markup
@@ -63,7 +62,8 @@ class Drawn(NamedTuple):
 def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosis, about: About) -> None:
     """Write report.html of readings y (K, N), NaN where missing, whole or not at all; every name and text is escaped."""
     passing, drawable = found.passing, len(found.t) > 1
-    learnt = found.of_log if about.basis else ()  # by which it is judged, not what was found in it
+    # by which it is judged, not what was found in it
+    learnt = [line for line in found.of_log if line not in about.notes] if about.basis else []
     lines = [line_drawn(found)] if len(found.events) > 1 else []
     strips = [overview_drawn(plant, y, found)] if found.after is not None and drawable else []
     findings = findings_of(plant, y, found, MOST_FIGURES if drawable else 0)
@@ -84,7 +84,7 @@ def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosi
             plant=plant.name,
             when=found.clock.span(float(found.t[0]), float(found.t[-1])),
             zone=found.clock.zone,
-            remarks=[line for line in (*found.remarks, *about.notes) if line not in (found.limit, *learnt)],
+            remarks=[line for line in dict.fromkeys((*found.remarks, *about.notes)) if line not in (found.limit, *learnt)],
             learnt=learnt,
             limit=found.limit,
             findings=findings,
@@ -138,9 +138,9 @@ def overview_drawn(plant: Plant, y: NDArray[np.float64], found: Diagnosis) -> Dr
 
 
 def _drawn(found: Diagnosis, name: str, title: str, draw: Callable[[], Figure], caption: str) -> Drawn:
-    plots: list[Any] = []
-    svg = figure_svg(name, draw, text="none", laid_out=lambda figure: plots.append(on_screen(figure, found)))
-    return Drawn(title, inline(svg, name, title), caption, json.dumps(for_json(plots[0])))
+    plots: list[str] = []
+    svg = figure_svg(name, draw, text="none", laid_out=lambda figure: plots.append(on_screen(figure, found.clock)))
+    return Drawn(title, inline(svg, name, title), caption, plots[0])
 
 
 def _time_line(found: Diagnosis) -> Figure:

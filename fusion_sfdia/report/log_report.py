@@ -35,10 +35,9 @@ from fusion_sfdia.report.log_figures import (
     thinned,
     time_axis,
     time_line,
-    with_brackets,
 )
 from fusion_sfdia.report.log_page import About, write_page
-from fusion_sfdia.report.log_units import LogUnits
+from fusion_sfdia.report.log_units import LogUnits, with_brackets
 from fusion_sfdia.report.plots import legend_above, panels, time_series
 from fusion_sfdia.report.progress import progress
 from fusion_sfdia.report.sample_tables import SUFFIXES, reconstructed, require_tables, scores, write_rows

@@ -20,6 +20,11 @@ from fusion_sfdia.plant.uncertainty import error_of
 Array = NDArray[Any]
 
 
+def with_brackets(name: str, unit: str, between: str = " ") -> str:
+    """A name with its unit, as beside an axis and in a title; the unit 1 is none."""
+    return name if unit == "1" else f"{name}{between}[{unit}]"
+
+
 class LogUnits:
     """How the sensors of a plant are called and measured in a log, by the columns that feed them.
 
@@ -60,10 +65,12 @@ class LogUnits:
         return [self.tags.get(name, name) for name in self.own]
 
     def titles(self, *, inputs: bool) -> list[str]:
-        """Titles of columns as in the log, "FI130.PV [m3/h]": of the sensors and, where there are any, of the inputs."""
+        """Titles of columns as in the log, "FI130.PV [m3/h]", or "TT1" where it has no unit: of the sensors and, where there
+        are any, of the inputs.
+        """
         units = [s.unit for s in self.plant.sensors]
         known = [*zip(self.short, units, strict=True), *((name, unit) for name, unit, *_ in (self._inputs if inputs else ()))]
-        return [f"{name} [{unit}]" for name, unit in known]
+        return [with_brackets(name, unit) for name, unit in known]
 
     def inputs(self, u: Array) -> Array:
         """Inputs (K, m) in the units of the log; of none also (K, 0)."""

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
@@ -24,10 +24,17 @@ MOST_ROWS = 5000  # of more the page would be slow: they are in metrics.csv alon
 SORTED_ROWS = 8  # a table of at least so many can be sorted and filtered
 
 
+class ShownFigure(NamedTuple):
+    """A figure as SVG, and what figures.js needs to read and zoom it, see `on_screen`."""
+
+    svg: str
+    plot: str
+
+
 @dataclass(frozen=True)
 class Section:
-    """A scenario as it was run: its name and texts, settings, numbers of seeds as run and in full, summary, {figure's file
-    name: SVG}, a line for each failure.
+    """A scenario as it was run: its name and texts, settings, numbers of seeds as run and in full, summary, figures by the
+    names of their files, a line for each failure.
     """
 
     name: str
@@ -37,14 +44,16 @@ class Section:
     seeds: int
     full_seeds: int
     summary: Summary
-    figures: dict[str, str]
+    figures: dict[str, ShownFigure]
     failures: list[str]
 
-    def drawn(self, figures: Iterable[Figure]) -> list[tuple[Figure, Markup]]:
-        """Those of the figures that could be drawn, with their SVG for the page."""
+    def drawn(self, figures: Iterable[Figure]) -> list[tuple[Figure, Markup, str]]:
+        """Those of the figures that could be drawn, with their SVG for the page and what figures.js needs."""
         names = {f"{self.name.replace('/', '-')}-{f.name}": f for f in figures}
-        drawn = {name: f for name, f in names.items() if name in self.figures}
-        return [(f, inline(self.figures[name], f"f{zlib.crc32(name.encode()):x}", f.alt)) for name, f in drawn.items()]
+        drawn = [
+            (f, f"f{zlib.crc32(name.encode()):x}", self.figures[name]) for name, f in names.items() if name in self.figures
+        ]
+        return [(f, inline(shown.svg, prefix, f.alt), shown.plot) for f, prefix, shown in drawn]
 
     @property
     def comparison(self) -> str:
@@ -71,6 +80,7 @@ def write_report(path: Path, command: str, sections: list[Section], manifest: di
         most_rows=MOST_ROWS,
         sorted_rows=SORTED_ROWS,
         sortable=Markup(part("sortable.min.js")),
+        script=Markup(part("figures.js")),
     )
     with atomic_write(path) as file:
         file.write(page)

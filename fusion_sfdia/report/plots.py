@@ -169,7 +169,7 @@ def bars(axes: Axes, groups: Sequence[str], series: Sequence[Bars], *, ylabel: s
         x = np.arange(len(groups)) + (i - (len(series) - 1) / 2) * width
         value = np.asarray(one.value, dtype=float)
         spread = np.stack([value - np.asarray(one.low, dtype=float), np.asarray(one.high, dtype=float) - value])
-        axes.bar(x, np.nan_to_num(value), width * 0.9, color=COLOURS[i % len(COLOURS)], label=entry(one.label))
+        axes.bar(x, value, width * 0.9, color=COLOURS[i % len(COLOURS)], label=entry(one.label))
         known = np.all(np.isfinite(spread), axis=0)
         if known.any():
             axes.errorbar(
@@ -179,7 +179,8 @@ def bars(axes: Axes, groups: Sequence[str], series: Sequence[Bars], *, ylabel: s
         if np.isfinite(published).any():
             label = None if labelled else "published"
             labelled = True
-            axes.plot(x, published, linestyle="none", marker="D", markersize=4.5, mfc="white", mec="black", label=label)
+            look: dict[str, Any] = {"linestyle": "none", "marker": "D", "markersize": 4.5, "mfc": "white", "mec": "black"}
+            axes.plot(x, published, label=label, gid=f"{one.label}, published", **look)
     axes.set_xticks(np.arange(len(groups)), list(groups))
     axes.set_ylabel(ylabel)
     if log:

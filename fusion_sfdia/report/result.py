@@ -33,6 +33,8 @@ class Result(Diagnosis):
         Name of the file, for the report.
     basis : str
         By what it was judged, where that is no model.
+    misread : tuple of str
+        Of which sensors the unit looks wrong though they were judged, and why, a line each; also in `of_log`.
 
     Notes
     -----
@@ -55,6 +57,7 @@ class Result(Diagnosis):
     columns: tuple[Source, ...] = ()
     source: str = "a log"
     basis: str = ""
+    misread: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, found: Diagnosis, **readings: Any) -> Result:
@@ -116,7 +119,7 @@ class Result(Diagnosis):
 
         if (path := Path(path)).suffix != ".html":
             raise ValueError(f"report: {path} has another suffix; expected a file that ends in .html")
-        write_page(path, *self._shown(), About(self.source, self.detector, basis=self.basis, files=False))
+        write_page(path, *self._shown(), About(self.source, self.detector, self.misread, self.basis, files=False))
         return path
 
     def _shown(self) -> tuple[Plant, Any, Diagnosis]:

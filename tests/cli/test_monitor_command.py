@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from diagnosis_schema import require_described
 
 from fusion_sfdia.cli.main import main
+from fusion_sfdia.learning.monitor.held_out import BLOCKS
 from fusion_sfdia.plant.log import Log
 
 DT = 10.0
@@ -47,6 +50,54 @@ def healthy(tmp_path: Path) -> list[str]:
     """The options that give two healthy logs."""
     logs = [written(tmp_path / f"h{seed}.csv", made(seed)) for seed in range(2)]
     return [*(a for path in logs for a in ("--healthy", path)), "--inputs", "load", "--ignore", "remark"]
+
+
+def test_a_log_in_another_unit_than_the_healthy_ones_is_said_to_be(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], undrawn: None
+) -> None:
+    paths, out = [], tmp_path / "out"
+    for seed, factor in ((0, 1.0), (21, 1000.0)):
+        t, y, u = made(seed)
+        paths.append(written(tmp_path / f"{seed}.csv", Log(t, factor * (y + 100.0), u)))
+    command = [
+        "monitor",
+        "--healthy",
+        paths[0],
+        "--data",
+        paths[1],
+        "--inputs",
+        "load",
+        "--ignore",
+        "remark",
+        "--out",
+        str(out),
+    ]
+    assert main(command) == 1
+    said, page = capsys.readouterr().out, (out / "report.html").read_text(encoding="utf-8")
+    for name in "ac":  # in K; a pressure may be off by more units
+        text = f"{name} looks 1000 times too large: usually"
+        assert said.count(text) == page.count(text) == 1 and page.index(text) < page.index("What was learnt")
+    assert (
+        (out / "reconstructed.csv").read_text(encoding="utf-8").startswith("time [s],a [K],b [bar],c [K],d [m3/h],load [kW],")
+    )
+
+
+def test_learning_and_diagnosing_show_the_time_that_is_left(
+    healthy: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, undrawn: None
+) -> None:
+    """By their parts, whose number is known from the start: blocks of healthy rows, and the rows of a log some at a time."""
+    shown: list[tuple[str, int]] = []
+
+    def noted(steps: Sequence[Any], what: str) -> Iterator[Any]:
+        for k, step in enumerate(steps):
+            shown.append((what, len(steps) - k))
+            yield step
+
+    monkeypatch.setattr("fusion_sfdia.report.progress.progress", noted)
+    monkeypatch.setattr("fusion_sfdia.learning.monitor.monitor.AT_ONCE", 200)
+    assert main(["monitor", *healthy, "--data", written(tmp_path / "data.csv", faulty()), "--out", str(tmp_path / "out")]) == 0
+    left = {what: [n for found, n in shown if found == what] for what, _ in shown}
+    assert left == {"learning": list(range(BLOCKS, 0, -1)), "diagnosing": [3, 2, 1]}
 
 
 @pytest.mark.slow

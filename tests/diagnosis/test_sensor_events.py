@@ -119,6 +119,20 @@ def test_probabilities_of_the_detector_and_its_suspects_come_first() -> None:
     assert sensor.alternatives == ("error of inflow",) and str(sensor).endswith("; not excluded: error of inflow")
 
 
+@pytest.mark.parametrize(("stated", "expected"), [(0.93, 0.93), (0.45, np.nan), (np.nan, np.nan)])
+def test_a_change_of_the_process_has_the_probability_at_which_it_was_accepted(stated: float, expected: float) -> None:
+    """Not that of later, when the estimate follows the change; none where the detector prefers something else."""
+    t, _, y, u = readings(PLANT, 40, 1, seed=0)
+    bank, log = ProcessBank(PLANT, accept=(10, 10**6)), Log(t, y[:, 0], u[:, 0])
+    decisions = diagnose_run(bank, log).decisions
+    assert decisions.probability is not None
+    probability = np.full_like(decisions.probability, 1e-3)
+    probability[int(np.argmax(decisions.process[:, 0])), 4] = stated
+    seen = diagnose_run(bank, log, decisions=replace(decisions, probability=probability))
+    (outlet,) = [e for e in seen.events if e.hypothesis == "outlet"]
+    assert outlet.kind == "process" and (np.isnan(outlet.confidence) if np.isnan(expected) else outlet.confidence == expected)
+
+
 def test_the_rate_is_that_of_the_detector() -> None:
     assert false_alarm_of(BANK) == 1e-4
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 from collections.abc import Callable, Coroutine, Iterator
+from math import nan
 from typing import Any, NamedTuple
 
 import pytest
@@ -13,7 +14,7 @@ from toy_plants import readings, tanks
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.diagnosis.changes import Change
 from fusion_sfdia.diagnosis.device_health import DeviceHealth
-from fusion_sfdia.diagnosis.events import Event
+from fusion_sfdia.diagnosis.events import Event, UndecidedEvent
 from fusion_sfdia.diagnosis.watch import Watch
 from fusion_sfdia.live.alarm_server import DEVICES, OWN, alarms_served
 from fusion_sfdia.live.saving import SavedWatch
@@ -138,6 +139,42 @@ def test_an_alarm_is_raised_acknowledged_worsened_ended_and_sent_again_on_reques
         assert ended == {("sensor l1", False, False), ("sensor l2", False, True)}
         served.change("l2", 3, "closed", 402.0, "freeze")
         assert (await operator.next())[1:4] == ("sensor l2", False, True)
+
+    served.work(work)
+
+
+def test_a_flood_gives_an_operator_one_new_alarm_in_ten_minutes_for_one_cause(served: Served) -> None:
+    """A sensor's fault, and an undecided alarm, come and go each minute of an hour, and again after ten quiet minutes. What an
+    operator has to acknowledge is a new alarm.
+    """
+
+    def changed(number: int, what: str, t: float) -> int:
+        """Both causes change; how many events a client gets."""
+        served.change("q12", number, what, t)
+        suspects = (("l1", "inflow"), ("q2", "outlet"))[number % 2]  # whoever they are, it is one cause
+        event = UndecidedEvent(" or ".join(suspects), t, t, nan, "", open=what == "opened", suspects=suspects)
+        served.saved._changed(served.saved.watch.alarms.with_alarm(Change(1000 + number, what, t, event)))
+        return 2
+
+    async def work(operator: Operator) -> None:
+        async def heard(count: int, new: int) -> None:
+            """Take so many events, of which so many are new alarms, and acknowledge these."""
+            found = [(await operator.next(), operator.event) for _ in range(count)]
+            unseen = [event for (_, _, active, acknowledged, *_), event in found if active and not acknowledged]
+            assert len(unseen) == len({event.NodeId for event in unseen}) == new
+            assert {state[1] for state, _ in found} == {"sensor q12", "undecided"}
+            for event in unseen:
+                number, text = IDS.AcknowledgeableConditionType_Acknowledge, ua.LocalizedText("seen")
+                await operator.call(number, event.EventId, text, at=event.NodeId)
+                assert (await operator.next())[2:4] == (True, True)
+
+        await heard(changed(0, "opened", 1000.0), new=2)
+        flood = [(k, what, 1000.0 + 60.0 * k + after) for k in range(60) for what, after in (("opened", 0.0), ("closed", 5.0))]
+        await heard(sum(changed(*one) for one in flood[1:]), new=0)
+        end = flood[-1][2]
+        await heard(changed(60, "opened", end + 599.0) + changed(60, "closed", end + 600.0), new=0)
+        await heard(changed(61, "opened", end + 1200.0), new=2)
+        await heard(changed(61, "closed", end + 1201.0), new=0)
 
     served.work(work)
 

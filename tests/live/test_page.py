@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 import socket
 import threading
 import urllib.error
 import urllib.request
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from toy_plants import readings, tanks
 
+from fusion_sfdia.cli.watch import _broker, _server
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.diagnosis.watch import Watch
+from fusion_sfdia.live.nodes import Nodes
 from fusion_sfdia.live.page import MOST_ROWS, POLL, LivePage
 from fusion_sfdia.live.saving import SavedWatch
 from fusion_sfdia.live.status import Answer, Status, served
+from fusion_sfdia.live.topics import Topics
 from fusion_sfdia.logs.columns import Source
 from fusion_sfdia.logs.conversion import conversion
 
@@ -88,6 +93,37 @@ def test_it_shows_state_findings_and_figures() -> None:
     shown = page.parts()
     assert re.search(r"Flow between the tanks FI12.PV has read 0\.4.* m3/h .*too high since 155 s", shown["findings"])
     assert "FI12.PV: out of specification" in shown["state"] and "[m3/h]" in shown["figures"]
+
+
+@pytest.mark.parametrize(
+    ("of", "read"),
+    [
+        ("opcua", 'q12 = { node = "ns=2;s=FI12.PV", unit = "m3/h" }\nl2 = "ns=2;s=LI2.PV"\ninflow = "ns=2;i=7"'),
+        ("mqtt", 'q12 = { topic = "FI12.PV", unit = "m3/h" }\nl2 = "LI2.PV"\ninflow = "inflow"'),
+    ],
+)
+def test_of_a_server_or_a_broker_it_shows_the_tags(of: str, read: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page, saved = made(Ticks())
+    monkeypatch.setattr("fusion_sfdia.live.mqtt.watch_broker", lambda *_, **__: give(saved, 60))
+
+    async def given(*_: Any, **__: Any) -> None:
+        give(saved, 60)
+
+    monkeypatch.setattr("fusion_sfdia.live.opcua.watch_server", given)
+    path = tmp_path / "addresses.toml"
+    path.write_text(f"[read]\n{read}\n", encoding="utf-8")
+    chosen = argparse.Namespace(nodes=path, topics=path, opcua="opc.tcp://x", mqtt="mqtt://x", allow_plain_password=False)
+    (_server if of == "opcua" else _broker)(chosen, saved, page)
+    assert page.shown_in.tags == {"q12": "FI12.PV", "l2": "LI2.PV"}
+    shown = page.parts()
+    assert re.search(r"Flow between the tanks FI12.PV has read 0\.4.* m3/h .*too high since 155 s", shown["findings"])
+    assert "FI12.PV: out of specification" in shown["state"]
+
+
+def test_topics_with_several_values_are_told_apart_by_their_keys() -> None:
+    topics = Topics({"l1": {"topic": "plant", "value": "upper"}, "l2": {"topic": "plant", "value": "lower"}, "q2": "flow"})
+    assert [c.title for c in topics.columns(PLANT)] == ["plant upper", "plant lower", "flow"]
+    assert [c.title for c in Nodes({"l1": "ns=2;i=7", "inflow": "ns=2;s=a=b;c"}).columns(PLANT)] == ["l1", "a=b;c"]
 
 
 def test_rows_and_events_are_few_however_long_it_runs() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -14,11 +15,12 @@ from fusion_sfdia.detectors import registry
 from fusion_sfdia.diagnosis.fault_draws import draw_apart
 from fusion_sfdia.diagnosis.fault_effects import apply_faults
 from fusion_sfdia.diagnosis.simulate import Recording, simulate
-from fusion_sfdia.logs.check import suspected_units
+from fusion_sfdia.logs.check import suspected_units, unlike_healthy
 from fusion_sfdia.logs.loaded_log import REMARKABLE
 from fusion_sfdia.logs.mix_ups import mix_up
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.signals import Signal
 from fusion_sfdia.plants import two_tanks
 
 STEPS = 200
@@ -160,3 +162,40 @@ def test_of_a_model_that_fails_nothing_is_suspected(which: str, error: BaseExcep
 
     recording = simulate(plant, STEPS, [0])
     assert names(replace(plant, **{which: fails}), recording, 0, recording.y[:, 0]) == []
+
+
+def rooms(seed: int, rows: int = 400) -> Log:
+    """Outdoor and room temperature (degC), a flow and a valve (%), over four days."""
+    rng, t = np.random.default_rng(seed), 864.0 * np.arange(rows)
+    day = np.sin(2 * np.pi * t / 86400)
+    y = np.stack([8 + 4 * day, 21 + 0.3 * day, 1.6 + 0.1 * day, 30 + 10 * day], axis=1)
+    return Log(t, y + rng.normal(size=y.shape) * [0.5, 0.1, 0.03, 2.0], np.zeros((rows, 0)))
+
+
+@pytest.mark.parametrize(("unit", "cure"), [("1", "state the units of both logs"), ("degC", "state its unit in a map")])
+def test_readings_in_another_unit_than_the_healthy_ones_are_found_without_a_model(unit: str, cure: str) -> None:
+    sensors = [Signal("outdoors", unit), Signal("room", unit), Signal("flow", "1"), Signal("valve", "1")]
+    healthy, log = [rooms(0), rooms(1)], rooms(2)
+    assert unlike_healthy(sensors, healthy, log) == []
+    log.y[:, :2] = 1.8 * log.y[:, :2] + 32
+    outdoors, room = unlike_healthy(sensors, healthy, log)
+    text = r"room looks as if in degF, not degC: usually (69\.\d+)BEHIND, in the healthy logs (2[01](?:\.\d+)?)BEHIND; .*"
+    found = re.fullmatch(text.replace("BEHIND", "" if unit == "1" else " degC"), room.text)
+    assert found is not None and float(found[1]) == pytest.approx(1.8 * float(found[2]) + 32, abs=0.1)
+    assert room.text.endswith(cure)
+    assert outdoors.text.startswith("outdoors looks as if in degF, not degC") and outdoors.kind == "unit suspected"
+
+
+def test_another_operation_or_a_fault_is_no_mix_up_of_units_with_healthy_readings() -> None:
+    sensors, healthy = [Signal(name) for name in ("outdoors", "room", "flow", "valve")], [rooms(0)]
+    for column, change in ((0, -20.0), (1, 3.0), (1, 30.0), (2, 5.0), (3, 65.0)):
+        log = rooms(2)
+        log.y[:, column] += change
+        assert unlike_healthy(sensors, healthy, log) == [], (column, change)
+    for factor, texts in ((10.0, []), (1e5, ["flow looks 100000 times too large"])):
+        log = rooms(2)
+        log.y[:, 2] *= factor
+        assert [f.text.split(":")[0] for f in unlike_healthy(sensors, healthy, log)] == texts
+    log = rooms(2)
+    log.y[200:, 1] = 1.8 * log.y[200:, 1] + 32  # from then on: no unit of the column
+    assert unlike_healthy(sensors, healthy, log) == []

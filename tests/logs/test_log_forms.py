@@ -163,7 +163,10 @@ def test_columns_keep_the_policy_of_read_log() -> None:
     with pytest.raises(ValueError, match=r"no column for the sensors 'l1' of plant .*; add them .*absent_sensors=True"):
         as_log(PLANT, without_sensor)
     assert np.all(np.isnan(as_log(PLANT, without_sensor, absent_sensors=True).y[:, 0]))
-    with pytest.raises(ValueError, match=r"of plant 'two-tanks'; name another plant with --plant if it is not this one; "):
+    with pytest.raises(
+        ValueError,
+        match=r"of plant 'two-tanks'; name another plant with --plant if it is not this one \(`init` .*, `monitor` .*\); ",
+    ):
         as_log(PLANT, data[["time", "inflow [m3/s]"]])
     with pytest.raises(ValueError, match=r"no column for the inputs 'inflow' .*nominal_inputs=True"):
         diagnose(DETECTOR, without_input)

@@ -1042,10 +1042,10 @@ MUTANTS = (
         "tests/report/test_order_of_findings.py::test_findings_have_one_order_on_every_page_and_in_every_file",
     ),
     Mutant(
-        "fusion_sfdia/report/log_figures.py",
+        "fusion_sfdia/report/on_screen.py",
         "(middle, high) if at(middle) == found[-1][1]",
         "(middle, high) if at(middle) != found[-1][1]",
-        "tests/report/test_log_report.py::test_the_offsets_of_a_zone_are_known_from_their_first_second",
+        "tests/report/test_on_screen.py::test_the_offsets_of_a_zone_are_known_from_their_first_second",
     ),
     Mutant(
         "fusion_sfdia/diagnosis/sentences.py",

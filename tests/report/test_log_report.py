@@ -6,10 +6,8 @@ import csv
 import html
 import re
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta, timezone
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
-from typing import Any
-from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
@@ -30,8 +28,7 @@ from fusion_sfdia.logs.conversion import conversion
 from fusion_sfdia.logs.csv_log import read_log
 from fusion_sfdia.plant.gaps import Gap
 from fusion_sfdia.plant.log import Log
-from fusion_sfdia.report.figure_files import figure_svg
-from fusion_sfdia.report.log_figures import MOST_POINTS, broken, label, near, offsets, on_screen, thinned, time_axis
+from fusion_sfdia.report.log_figures import MOST_POINTS, broken, label, near, thinned, time_axis
 from fusion_sfdia.report.log_page import About, write_page
 from fusion_sfdia.report.log_report import FILES, as_text, draw, write_diagnosis
 from fusion_sfdia.report.log_units import LogUnits
@@ -304,38 +301,11 @@ def test_a_page_alone_names_no_files_beside_it(tmp_path: Path) -> None:
     assert "Files beside this page" not in alone
 
 
-def test_a_figure_of_a_sensor_without_a_unit_shows_none() -> None:
+def test_a_figure_and_a_title_of_a_sensor_without_a_unit_show_none() -> None:
     plain = replace(PLANT, sensors=tuple(replace(s, unit="1") for s in PLANT.sensors))
     upper, lower, _ = near(plain, BIASED, BOTH, [e for e in BOTH.events if e.hypothesis == "q12"]).axes
     assert (upper.get_ylabel(), lower.get_ylabel()) == ("q12", "difference")
-
-
-def test_a_figure_states_how_its_lines_are_read_as_times_and_values() -> None:
-    q12 = [e for e in BOTH.events if e.hypothesis == "q12"]
-    plots = list[dict[str, Any]]()
-    for clock in (BOTH.clock, WHEN):
-        seen = replace(BOTH, clock=clock)
-
-        def draw_one(seen: Diagnosis = seen) -> Figure:
-            return near(PLANT, BIASED, seen, q12)
-
-        svg = figure_svg("f", draw_one, text="none", laid_out=lambda figure, seen=seen: plots.append(on_screen(figure, seen)))  # type: ignore[misc]
-    seconds, wall = plots
-    assert (seconds["unit"], seconds["offsets"]) == ("s", [[seconds["time"][0], 0.0]])
-    assert (wall["unit"], wall["offsets"]) == ("", [[wall["time"][0], 3600.0]])
-    start = WHEN.start.timestamp()  # type: ignore[union-attr]
-    np.testing.assert_allclose(np.array(wall["time"]) - start, seconds["time"], atol=1e-5)  # days since 1970 have 1e-6 s
-    upper, lower, strip = wall["panels"]
-    assert (upper["lines"], lower["lines"], strip["lines"]) == (["expected", "reading"], ["difference"], [])
-    assert upper["unit"] == lower["unit"] == "m3/s" and strip["rows"]["names"][0] == "q12"
-    (path,) = re.findall(r'id="reading">\s*<path d="([^"]*)"', svg)
-    points = np.array(re.findall(r"[ML] (\S+) (\S+)", path), float)
-    left, top, right, bottom = upper["box"]
-    t = wall["time"][0] + (points[:, 0] - left) / (right - left) * np.ptp(wall["time"]) - start
-    y = upper["y"][0] + (bottom - points[:, 1]) / (bottom - top) * np.ptp(upper["y"])
-    rows = np.searchsorted(T, t - 1)
-    np.testing.assert_allclose(t, T[rows], atol=0.01)
-    np.testing.assert_allclose(y, BIASED[rows, 2], atol=1e-6 * np.ptp(upper["y"]))  # an SVG of matplotlib has 6 decimals
+    assert LogUnits(plain, ()).titles(inputs=False) == list(PLANT.sensor_names)
 
 
 def test_names_beside_an_axis_are_tags_or_few_words() -> None:
@@ -347,15 +317,6 @@ def test_names_beside_an_axis_are_tags_or_few_words() -> None:
     assert label(seen, several) == "outlet of the upper tank or 2 more" and label(seen, several, 18) == "outlet or 2 more"
     assert label(seen, between, 11) == "l1 or 1 mo…"
     assert label(seen, replace(between, suspects=("l1",))) == "l1?"
-
-
-def test_the_offsets_of_a_zone_are_known_from_their_first_second() -> None:
-    first, last = (datetime(2026, month, 20, tzinfo=UTC).timestamp() for month in (3, 11))
-    spring, autumn = datetime.fromisoformat("2026-03-29T01:00Z"), datetime.fromisoformat("2026-10-25T01:00Z")
-    in_time = [[first, 3600.0], [spring.timestamp(), 7200.0], [autumn.timestamp(), 3600.0]]
-    assert offsets(ZoneInfo("Europe/Amsterdam"), first, last) == in_time
-    assert offsets(ZoneInfo("Asia/Kolkata"), first, last) == [[first, 19_800.0]]
-    assert offsets(None, first, last) == [[first, 0.0]]
 
 
 @pytest.mark.parametrize("hours", [2.9, 2.5 * 24, 71.9])

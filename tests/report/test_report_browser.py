@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure as Drawing
 from toy_plants import readings, tanks
 from toy_scenario import TOY
 
@@ -20,8 +22,10 @@ from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.diagnosis.diagnose import DiagnosisWarning, diagnose_run
 from fusion_sfdia.plant.log import Log
-from fusion_sfdia.report.content import Summary
+from fusion_sfdia.report.content import Figure, Summary
 from fusion_sfdia.report.log_page import About, write_page
+from fusion_sfdia.report.plots import panels
+from fusion_sfdia.study.comparison.figures import heat
 from fusion_sfdia.study.experiments.runner import run_scenarios
 from fusion_sfdia.study.experiments.scenario import Arrays, Settings, Task
 
@@ -31,13 +35,26 @@ if not (CHROMIUM and DRIVER):
     pytest.skip("needs a browser: chromium and chromedriver on the path", allow_module_level=True)
 
 QUIET = ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-dev-shm-usage")
+READING = "[id$='-panel0-1'] > path"  # after the line of what is expected
 OFFLINE = ("--disable-background-networking", "--disable-component-update", "--disable-sync")
 
 
 def long_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary:
-    """The toy's summary with its rows for five quantities."""
+    """The toy's summary with its rows for five quantities, and a figure of a comparison's kinds."""
     found = TOY.summarise(settings, results)
-    return replace(found, rows=[replace(r, quantity=f"q{i}", value=r.value + i) for i in range(5) for r in found.rows])
+    rows = [replace(r, quantity=f"q{i}", value=r.value + i) for i in range(5) for r in found.rows]
+    return replace(found, rows=rows, figures=[Figure("kinds", "Kinds", "", kinds, "kinds")])
+
+
+def kinds() -> Drawing:
+    """Curves, numbers on colours, and bars."""
+    figure, (curves, numbers, lying) = panels(["curves", "numbers", "lying"], columns=3, width=11.5)
+    curves.plot([1e-3, 0.1, 1.0], [0.0, 0.5, 1.0], drawstyle="steps-post", label="ours")
+    curves.set(xscale="log", xlim=(1e-3, 1.0), ylim=(-0.02, 1.02), xlabel="false-alarm probability")
+    heat(numbers, np.array([[0.5, 0.25], [0.125, np.nan]]), ["a", "b"], ["x", "y"])
+    lying.barh([0, 1], [0.25, 0.5], label="missed")
+    lying.set_yticks([0, 1], ["limits", "pca"])
+    return figure
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +72,49 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         yield driver
     finally:
         driver.quit()
+
+
+def test_curves_cells_and_bars_of_a_comparison_are_read(browser: Any) -> None:
+    """With the pointer, and with keys, which go on to the next panel; curves alone are zoomed."""
+    paper = browser.find_element("css selector", ".paper")
+    svg, says = paper.find_element("css selector", "svg"), browser.find_element("css selector", "output")
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", paper)
+    data = json.loads(paper.get_attribute("data-plot"))
+    box = {p["title"]: p["box"] for group in data["groups"] for p in group["panels"]}
+    _, _, width, height = map(float, svg.get_dom_attribute("viewBox").split())
+
+    def at(title: str, across: float, down: float) -> webdriver.ActionChains:
+        left, top, right, bottom = box[title]
+        x, y = (left + across * (right - left)) / width - 0.5, (top + down * (bottom - top)) / height - 0.5
+        return webdriver.ActionChains(browser).move_to_element_with_offset(
+            svg, round(x * svg.size["width"]), round(y * svg.size["height"])
+        )
+
+    at("curves", 0.5, 0.5).perform()
+    assert re.fullmatch(r"curves: false-alarm probability 0\.03\d+: ours 0", says.text)
+    at("numbers", 0.75, 0.25).perform()
+    assert says.text == "numbers: y: a: 0.25"
+    at("numbers", 0.75, 0.25).click_and_hold().move_by_offset(-40, 0).release().perform()
+    assert "zoomed" not in paper.get_attribute("class")
+    at("lying", 0.5, 0.2).perform()
+    assert says.text == "lying: pca: missed 0.5"
+    at("curves", 0.6, 0.5).click_and_hold().move_by_offset(40, 0).release().perform()
+    assert "zoomed" in paper.get_attribute("class")
+
+    browser.execute_script("arguments[0].focus()", paper)
+    readouts = []
+    for key in ("ESCAPE", "END", "ARROW_RIGHT", "ARROW_DOWN", "ARROW_RIGHT", "ARROW_RIGHT"):
+        webdriver.ActionChains(browser).send_keys(getattr(webdriver.Keys, key)).perform()
+        readouts.append(says.text)
+    assert "zoomed" not in paper.get_attribute("class") and readouts[0].startswith("Point at the picture")
+    assert readouts[1:] == [
+        "curves: false-alarm probability 1: ours 1",
+        "numbers: x: a: 0.50",
+        "numbers: x: b: 0.12",
+        "numbers: y: b",
+        "lying: limits: missed 0.25",
+    ]
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
 
 
 def column(browser: Any, index: int) -> list[str]:
@@ -164,7 +224,7 @@ def test_a_figure_is_read_and_zoomed(browser: Any, diagnosis: str) -> None:
     action_chains = webdriver.ActionChains
     paper = browser.find_element("css selector", ".near .paper")
     svg, says = paper.find_element("css selector", "svg"), browser.find_element("css selector", ".near output")
-    reading = paper.find_element("css selector", "[id$='-reading'] path")
+    reading = paper.find_element("css selector", READING)
     browser.execute_script("arguments[0].scrollIntoView()", paper)
     box, whole = svg.rect, reading.get_attribute("d")
     action_chains(browser).move_to_element(svg).perform()
@@ -206,7 +266,7 @@ def nights(tmp_path_factory: pytest.TempPathFactory) -> str:
 def test_ticks_stand_where_the_clock_of_the_zone_shows_them(browser: Any, nights: str) -> None:
     """Midnight is that of the zone, and after the night of 29 March its ticks are an hour less apart from it."""
     browser.get(nights)
-    ticks = "return ticks(arguments[0], arguments[1], '', arguments[2])"
+    ticks = "return ticks({ends: arguments[0], log: false}, arguments[1], arguments[2])"
     offsets = browser.execute_script("return JSON.parse(document.querySelector('.whole .paper').dataset.plot).offsets")
     change = datetime(2026, 3, 29, 1, tzinfo=UTC).timestamp()
     assert [offset for _, offset in offsets] == [3600, 7200] and offsets[1][0] == change
@@ -233,7 +293,7 @@ def touched(browser: Any) -> None:
     x, y, width = browser.execute_script(
         "const b = arguments[0].getBoundingClientRect(); return [b.x, b.y + 150, b.width]", paper
     )
-    reading = paper.find_element("css selector", "[id$='-reading'] path")
+    reading = paper.find_element("css selector", READING)
     says = browser.find_element("css selector", ".near output")
 
     def touch(kind: str, *shares: float) -> None:

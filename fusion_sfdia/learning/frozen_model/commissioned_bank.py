@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.common.steps import Each, in_silence
 from fusion_sfdia.detectors.batch_detector import TimeStep
 from fusion_sfdia.detectors.detector import Decision, ProcessHypothesis
 from fusion_sfdia.detectors.health import decision_of_runs, of_runs
@@ -32,7 +33,7 @@ from fusion_sfdia.filters.estimators import GaussianState
 from fusion_sfdia.filters.gaussian import dense
 from fusion_sfdia.learning.commissioning.commission import as_runs
 from fusion_sfdia.learning.commissioning.parameters import at, declared
-from fusion_sfdia.learning.frozen_model.commissioned_model import Each, in_silence, stretches
+from fusion_sfdia.learning.frozen_model.commissioned_model import stretches
 from fusion_sfdia.learning.frozen_model.frozen_bank import (
     FADES,
     FALSE_ALARM,

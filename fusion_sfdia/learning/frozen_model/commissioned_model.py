@@ -15,13 +15,14 @@ argued as it says, while a heated room with a wrong valve was looked at; the oth
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from fusion_sfdia.common.steps import Each, in_silence
 from fusion_sfdia.filters.gaussian import half_inverse
 from fusion_sfdia.learning.commissioning.parameters import declared
 from fusion_sfdia.learning.frozen_model.frozen_filter import FrozenFilter
@@ -90,14 +91,6 @@ class Frozen(NamedTuple):
     def growth(self, w: int, phi: Array) -> Array:
         """The growth g (...) of the w-th window, of mean regressors phi (..., q) within their range."""
         return np.asarray(1.0 + self.kappa[w] * np.sum((phi @ self.whiten) ** 2, axis=-1))
-
-
-Each = Callable[[Sequence[int], str], Iterable[int]]  # steps, and what they are, to the same steps
-
-
-def in_silence(steps: Sequence[int], what: str) -> Iterable[int]:
-    """The steps as they are: no progress is shown."""
-    return steps
 
 
 def beyond(phi: Array, low: Array, high: Array) -> Array:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from fusion_sfdia.common.steps import Each, in_silence
 from fusion_sfdia.learning.monitor.residuals import (
     NOISE,
     SCALES,
@@ -151,11 +152,14 @@ class _View(NamedTuple):
         return tuple(found)
 
 
-def learn(pieces: Sequence[ScaledRows], count: int, rate: float, logs: Sequence[int] = ()) -> LearntLimits:
+def learn(
+    pieces: Sequence[ScaledRows], count: int, rate: float, logs: Sequence[int] = (), each: Each = in_silence
+) -> LearntLimits:
     """Learn from pieces of healthy rows.
 
     count: sensors. rate: share of rows in alarm. logs: of which log each piece is; with at least `RUNS` logs, none longer than
-    half of all rows, the blocks are logs: each is a run of its own.
+    half of all rows, the blocks are logs: each is a run of its own. each: wraps the blocks, to show
+    progress.
     """
     lengths = [len(p.z) for p in pieces]
     total = sum(lengths)
@@ -170,11 +174,11 @@ def learn(pieces: Sequence[ScaledRows], count: int, rate: float, logs: Sequence[
     tested = [w for w in known if w <= max(total / TESTED, 1)]
     absolute = _view(rows, known)
     if not rows.are_runs:
-        return LearntLimits(*_family(rows, absolute, tests_of(tested, total // TESTED), rate), edges)
+        return LearntLimits(*_family(rows, absolute, tests_of(tested, total // TESTED), rate, each), edges)
     shortest = float(np.median(np.diff(edges)))
     relative = [w for w in tested if w <= LONGEST_RELATIVE and settled(w)[1] <= max(shortest / 2, settled(1)[1])]
-    of_all = _family(rows, absolute, tuple(t for t in tests_of(tested, 0) if t.kind in ("level", "change")), rate)
-    own = _family(rows, _view(rows, relative, relative=True), tests_of(relative, total // TESTED), rate)
+    of_all = _family(rows, absolute, tuple(t for t in tests_of(tested, 0) if t.kind in ("level", "change")), rate, each)
+    own = _family(rows, _view(rows, relative, relative=True), tests_of(relative, total // TESTED), rate, each)
     explained = np.fmax(own.limits.explained, of_all.limits.explained)
     limits = replace(own.limits, explained=explained, trend=np.zeros(count, bool))
     return LearntLimits(own.model, limits, edges, of_all, max(lengths))
@@ -240,10 +244,10 @@ def _ridge(rows: _Rows, x: Array, at: Array, centred: bool) -> tuple[float, list
     return RIDGES[int(np.argmin(worth))], moments
 
 
-def _family(rows: _Rows, view: _View, tests: tuple[Test, ...], rate: float) -> Family:
+def _family(rows: _Rows, view: _View, tests: tuple[Test, ...], rate: float, each: Each) -> Family:
     """The model of all blocks, and limits by models that have not seen a block."""
     stats, used, levels = [], [], []
-    for b in range(rows.blocks):
+    for b in each(range(rows.blocks), "learning"):
         own = np.flatnonzero(rows.of == b)
         others = rows.others(b)
         sides = [c for c in others if c < b], [c for c in others if c > b]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.common.rate import Rate, lasting
+from fusion_sfdia.common.steps import Each, in_silence
 from fusion_sfdia.detectors.storage import read_arrays, write_arrays
 from fusion_sfdia.diagnosis.events import with_unit
 from fusion_sfdia.diagnosis.watch import Watch
@@ -24,6 +25,7 @@ from fusion_sfdia.learning.monitor.residuals import rows_of
 from fusion_sfdia.learning.monitor.row_verdicts import JOINED, SECONDS, Verdicts, diagnosed, joined_verdicts, plant_of
 from fusion_sfdia.learning.monitor.saved import packed, unpacked
 from fusion_sfdia.learning.monitor.unmodelled_logs import load, signals_of
+from fusion_sfdia.logs.check import unlike_healthy
 from fusion_sfdia.logs.loaded_log import LoadedLog
 from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap, load_map
 from fusion_sfdia.plant.gaps import LONG, SKIPPED
@@ -103,6 +105,7 @@ class Monitor:
         log_map: LogMap | str | Path | None = None,
         false_alarm: float | str | Rate = FALSE_ALARM,
         say: Callable[[Any, LoadedLog], object] = lambda source, log: None,
+        each: Each = in_silence,
     ) -> Monitor:
         """Learn from healthy logs: a file or a pandas frame, or a sequence of them, each of one run.
 
@@ -120,6 +123,8 @@ class Monitor:
             Share of rows in alarm, or such as "1/week".
         say : callable, optional
             Called with each source and its log as it was read.
+        each : callable, optional
+            Wraps the parts of the rows, with what is done, to show progress.
 
         Returns
         -------
@@ -143,7 +148,7 @@ class Monitor:
         names = list(map(_name, sources, range(1, len(sources) + 1)))
         return cls.of_logs(
             sensors, [one.log for one in loaded], inputs=signals, false_alarm=false_alarm, names=names,
-            clocks=[one.clock for one in loaded],
+            clocks=[one.clock for one in loaded], each=each,
         )  # fmt: skip
 
     @classmethod
@@ -157,6 +162,7 @@ class Monitor:
         dt: float | None = None,
         names: Sequence[str] = (),
         clocks: Sequence[Clock] = (),
+        each: Each = in_silence,
     ) -> Monitor:
         """Learn from healthy logs, each of one run: t (K,), y (K, N) and u (K, m), NaN where missing.
 
@@ -176,6 +182,8 @@ class Monitor:
             Of the logs.
         clocks : sequence of Clock, default ()
             Of the logs, for their times in words.
+        each : callable, optional
+            As for `fit`.
 
         Returns
         -------
@@ -206,7 +214,7 @@ class Monitor:
         least = SUPPORTED / rows
         pieces = [p for log in logs for p in log]
         of = [k for k, log in enumerate(logs) for _ in log]
-        learnt = learn([rows_of(channels, p.v)[0] for p in pieces], channels.count, max(per_row, least), of)
+        learnt = learn([rows_of(channels, p.v)[0] for p in pieces], channels.count, max(per_row, least), of, each)
         clocks = list(clocks) or [SECONDS] * len(healthy)
         named = list(names) or [f"healthy log {k}" for k in range(1, len(healthy) + 1)]
         origin = tuple(
@@ -229,7 +237,7 @@ class Monitor:
         """A log of one run with its rows as they are judged, y (K, N) and u (K, m), NaN where there is no reading."""
         return _as_log(pieces_of(self._fitting(log), self.dt), len(self.channels.sensors))
 
-    def update(self, healthy: Any, *, log_map: LogMap | str | Path | None = None) -> Monitor:
+    def update(self, healthy: Any, *, log_map: LogMap | str | Path | None = None, each: Each = in_silence) -> Monitor:
         """A monitor that has learnt from later healthy logs as well, with what has changed among its remarks.
 
         Parameters
@@ -238,6 +246,8 @@ class Monitor:
             As for `fit`, of the same columns.
         log_map : LogMap, str or Path, optional
             How the logs are written, or the file that states it.
+        each : callable, optional
+            As for `fit`.
 
         Returns
         -------
@@ -255,7 +265,9 @@ class Monitor:
         later = [_as_log([_there(p) for p in pieces_of(self._fitting(one.log), self.dt)], count) for one in read]
         names = [*(name for name, *_ in self.healthy), *map(_name, sources, range(len(self.logs) + 1, 10**6))]
         sensors, inputs = self.channels.sensors, self.channels.inputs
-        found = Monitor.of_logs(sensors, [*self.logs, *later], inputs=inputs, false_alarm=self.rate, dt=self.dt, names=names)
+        found = Monitor.of_logs(
+            sensors, [*self.logs, *later], inputs=inputs, false_alarm=self.rate, dt=self.dt, names=names, each=each
+        )
         origin = tuple(
             (name, len(log.t), one.clock.at(float(log.t[0])), one.clock.at(float(log.t[-1])))
             for name, log, one in zip(names[len(self.logs) :], later, read, strict=True)
@@ -284,9 +296,12 @@ class Monitor:
         ValueError
             Where a column is not there.
         """
-        return load(source, self.channels.sensors, self.channels.inputs, _map(log_map), absent_sensors=absent_sensors)
+        found = load(source, self.channels.sensors, self.channels.inputs, _map(log_map), absent_sensors=absent_sensors)
+        return found._replace(findings=(*found.findings, *unlike_healthy(self.channels.sensors, self.logs, found.log)))
 
-    def diagnose(self, log: Any, clock: Clock = SECONDS, *, log_map: LogMap | str | Path | None = None) -> Result:
+    def diagnose(
+        self, log: Any, clock: Clock = SECONDS, *, log_map: LogMap | str | Path | None = None, each: Each = in_silence
+    ) -> Result:
         """Diagnose a log of one run.
 
         Parameters
@@ -298,6 +313,8 @@ class Monitor:
             Of a Log; by default its seconds.
         log_map : LogMap, str or Path, optional
             How a file is written, or the file that states it.
+        each : callable, optional
+            As for `fit`.
 
         Returns
         -------
@@ -306,41 +323,44 @@ class Monitor:
         """
         source = Path(log).name if isinstance(log, str | Path) else "a log"
         if isinstance(log, Log):
-            log = LoadedLog(log, clock, ())
+            log = LoadedLog(log, clock, tuple(unlike_healthy(self.channels.sensors, self.logs, self._fitting(log))))
         elif not isinstance(log, LoadedLog):
             log = self.read(log, log_map)
-        verdicts = self.judge(log.log)
+        verdicts = self.judge(log.log, each)
         rows = sum(len(v.t) for v in verdicts)
         expected = f"without a fault some {self.learnt.limits.rate[0] * rows:.2g} of these {rows} rows would be in alarm"
-        found = diagnosed(self.channels, self.dt, verdicts, (self.promise, expected, *self.remarks), log.clock)
+        misread = tuple(f.text for f in log.findings if f.kind == "unit suspected")
+        found = diagnosed(self.channels, self.dt, verdicts, (*misread, self.promise, expected, *self.remarks), log.clock)
         known = tuple(e for e in found.events if not (e.fault == "dropout" and e.hypothesis in log.absent))
         found = replace(found, events=known)  # that a sensor is silent which the log is known not to have is no finding
         return Result.of(
-            found, plant=self.plant, detector=NAME, log=self._on_grid(log.log), columns=log.columns, source=source, basis=BASIS
-        )
+            found, plant=self.plant, detector=NAME, log=self._on_grid(log.log), columns=log.columns, source=source, basis=BASIS,
+            misread=misread,
+        )  # fmt: skip
 
-    def judge(self, log: Log) -> list[Verdicts]:
+    def judge(self, log: Log, each: Each = in_silence) -> list[Verdicts]:
         """The verdicts on a log, of its pieces between gaps of more than 60 rows.
 
         Parameters
         ----------
         log : Log
             Of one run, with all sensors and inputs.
+        each : callable, optional
+            As for `fit`.
 
         Returns
         -------
         list of Verdicts
             One for each piece.
         """
-        found = []
-        for piece in pieces_of(self._fitting(log), self.dt):
-            parts, past = [], Past.none(self.channels, self.learnt)
-            for k in range(0, len(piece.t), AT_ONCE):
-                rows = slice(k, k + AT_ONCE)
-                verdicts, past = follow(self.channels, self.learnt, piece.t[rows], piece.v[rows], past)
-                parts.append(verdicts)
-            found.append(joined_verdicts(parts))
-        return found
+        pieces = pieces_of(self._fitting(log), self.dt)
+        found: list[list[Verdicts]] = [[] for _ in pieces]
+        past = nothing = Past.none(self.channels, self.learnt)
+        for i, k in each([(i, k) for i, piece in enumerate(pieces) for k in range(0, len(piece.t), AT_ONCE)], "diagnosing"):
+            piece, rows = pieces[i], slice(k, k + AT_ONCE)
+            verdicts, past = follow(self.channels, self.learnt, piece.t[rows], piece.v[rows], past if k else nothing)
+            found[i].append(verdicts)
+        return list(map(joined_verdicts, found))
 
     def stream(self, state: str | Path | None = None, **settings: Any) -> Watch:
         """The monitor over rows as they come: `Watch.update` decides as `diagnose` does on the rows so far.

@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.rate import Rate
+from fusion_sfdia.common.steps import Each, in_silence
 from fusion_sfdia.diagnosis.events import TOGETHER, spans
 from fusion_sfdia.learning.commissioning.parameters import declared
 from fusion_sfdia.learning.commissioning.refusals import still
 from fusion_sfdia.learning.frozen_model.commissioned_bank import with_bank
-from fusion_sfdia.learning.frozen_model.commissioned_model import Each, Learnt, commissioned_without_faults, in_silence
+from fusion_sfdia.learning.frozen_model.commissioned_model import Learnt, commissioned_without_faults
 from fusion_sfdia.learning.frozen_model.frozen_bank import FrozenBank
 from fusion_sfdia.learning.frozen_model.frozen_filter import unknowns
 from fusion_sfdia.learning.frozen_model.window_means import WINDOWS

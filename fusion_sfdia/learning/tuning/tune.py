@@ -18,13 +18,13 @@ from fusion_sfdia import __version__
 from fusion_sfdia.common.clock import Clock, within
 from fusion_sfdia.common.errors import NotApplicableError
 from fusion_sfdia.common.rate import Rate, lasting
+from fusion_sfdia.common.steps import Each, in_silence
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.detectors.detector import Detector
 from fusion_sfdia.detectors.silent import require_scale, silent, silent_scores
 from fusion_sfdia.learning.commissioning.commission import Commissioning, as_runs
 from fusion_sfdia.learning.commissioning.parameters import moved
 from fusion_sfdia.learning.commissioning.refusals import require_moving
-from fusion_sfdia.learning.frozen_model.commissioned_model import Each, in_silence
 from fusion_sfdia.learning.tuning.frozen import tuned_frozen
 from fusion_sfdia.learning.tuning.stationary import require_no_drift, require_stationary
 from fusion_sfdia.learning.tuning.tail import AlarmCount, Threshold, counted, shortest, threshold, threshold_figures

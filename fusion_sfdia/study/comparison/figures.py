@@ -76,7 +76,7 @@ def draw_overview(cells: Cells, measures: Mapping[str, Measure]) -> Drawing:
         heat(axis, values, detectors, plants, form=form, log=measure.decades, less=measure.less)
     for i, axis in enumerate(axes):
         if i % 4:
-            axis.set_yticklabels([])
+            axis.tick_params(labelleft=False)
     return figure
 
 
@@ -90,7 +90,7 @@ def draw_roc(cells: Mapping[str, ComparisonCell], conditions: Sequence[str], nam
             curve = metrics.roc(scores, active)
             style = {k: v for k, v in look[detector].items() if k != "marker"}
             shown = detector if detector in named else OTHERS
-            axis.plot(*curve[:2], label=entry(shown), drawstyle="steps-post", **style)
+            axis.plot(*curve[:2], label=entry(shown), gid=detector, drawstyle="steps-post", **style)
         chance = np.geomspace(1e-4, 1.0, 100)
         axis.plot(chance, chance, color="0.6", linewidth=0.8)
         least = min(1.0 / cell["trunk"].size for cell in cells.values())
@@ -133,8 +133,9 @@ def draw_magnitudes(cells: Mapping[str, ComparisonCell], named: Collection[str])
                 values = [e.value if e.n >= LEAST else np.nan for e in found]
                 shift = 1.0 + 0.02 * (i - len(cells) / 2)  # lines that coincide stay visible
                 shown = detector if detector in named else OTHERS
-                axis.plot(np.array(sizes) * shift, values, markersize=3.5, linewidth=1.2, label=entry(shown), **look[detector])
-            axis.set_xscale("log")
+                style = {"markersize": 3.5, "linewidth": 1.2, **look[detector]}
+                axis.plot(np.array(sizes) * shift, values, label=entry(shown), gid=detector, **style)
+            axis.set(xscale="log", xlim=(sizes[0] / 1.5, sizes[-1] * 1.5))
             axis.xaxis.set_minor_formatter(NullFormatter())
             axis.set_xticks(sizes, [f"{m:g}" for m in sizes])
             if r < 2:
@@ -187,7 +188,7 @@ def draw_panels(cells: Mapping[str, ComparisonCell], shown: Sequence[Panel]) -> 
         ]
         heat(axis, np.array(values), list(cells), [k.label for k in panel.columns], less=panel.less)
     for axis in axes[1:]:
-        axis.set_yticklabels([])
+        axis.tick_params(labelleft=False)
     return figure
 
 
@@ -270,8 +271,8 @@ def draw_example(plant: Plant, examples: Mapping[str, Mapping[str, Array]], name
     for name, one in sorted(examples.items(), key=lambda item: item[0] in named):  # the named on top
         look = {k: v for k, v in look_of[name].items() if k in ("color", "linestyle")} if name in named else {"color": GREY}
         label = entry(name) if name in named else None
-        restored.plot(t, one[f"{PREFIX}reconstruction"], linewidth=1.3, label=label, **look)
-        scores.plot(t, np.maximum(one[f"{PREFIX}score"], LEAST_SCORE), linewidth=1.3, label=label, **look)
+        restored.plot(t, one[f"{PREFIX}reconstruction"], linewidth=1.3, label=label, gid=name, **look)
+        scores.plot(t, np.maximum(one[f"{PREFIX}score"], LEAST_SCORE), linewidth=1.3, label=label, gid=name, **look)
     if set(examples) - set(named):
         scores.plot([], [], color=GREY, label=OTHERS)
     scores.axhline(1.0, color="black", linewidth=1.0)
@@ -290,7 +291,8 @@ def draw_example(plant: Plant, examples: Mapping[str, Mapping[str, Array]], name
     step = t[1] - t[0] if t.size > 1 else 1.0
     sides = (float(t[0] - step / 2), float(t[-1] + step / 2), len(names) - 0.5, -0.5)
     colours, levels = ListedColormap(COLOURS), BoundaryNorm(np.arange(len(COLOURS) + 1) - 0.5, len(COLOURS))
-    verdicts.imshow(rows, cmap=colours, norm=levels, extent=sides, aspect="auto", interpolation="nearest")
+    image = verdicts.imshow(rows, cmap=colours, norm=levels, extent=sides, aspect="auto", interpolation="nearest")
+    image.format_cursor_data = lambda code: VERDICTS[int(code)]
     verdicts.set_yticks(np.arange(len(names)), names, fontsize=7)
     verdicts.grid(visible=False)
     verdicts.tick_params(axis="y", length=0)

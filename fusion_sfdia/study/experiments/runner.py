@@ -28,7 +28,8 @@ from fusion_sfdia.common.files import LOCK, TEMPORARY, all_or_none, atomic_write
 from fusion_sfdia.common.plain_text import acting
 from fusion_sfdia.report.content import Figure, Summary
 from fusion_sfdia.report.figure_files import write_figure
-from fusion_sfdia.report.page import Section, write_report
+from fusion_sfdia.report.on_screen import on_screen
+from fusion_sfdia.report.page import Section, ShownFigure, write_report
 from fusion_sfdia.report.results import Row, write_rows
 from fusion_sfdia.study.experiments.cluster import connected
 from fusion_sfdia.study.experiments.parts import PART_NAME, part_name, read_part
@@ -262,31 +263,35 @@ class _Asked(NamedTuple):
 
 
 class _Drawn(NamedTuple):
-    """A figure's SVG, or the error that ended it."""
+    """A figure, or the error that ended it."""
 
     slug: str
-    svg: str
+    shown: ShownFigure
     error: str | None
 
 
-def draw_figures(folder: Path, scenario: str, figures: Sequence[Figure], workers: int) -> tuple[dict[str, str], dict[str, str]]:
-    """Write the figures into a folder; the SVGs by the names of their files, and errors by the names of their figures.
+def draw_figures(
+    folder: Path, scenario: str, figures: Sequence[Figure], workers: int
+) -> tuple[dict[str, ShownFigure], dict[str, str]]:
+    """Write the figures into a folder; those drawn by the names of their files, and errors by the names of their figures.
 
     Files have the same bytes for any number of workers. RuntimeError where a process is killed.
     """
     slugs = {figure.name: f"{scenario.replace('/', '-')}-{figure.name}" for figure in figures}
     asked = [_Asked(folder, slugs[figure.name], figure) for figure in figures]
     drawn = {found.slug: found for found in in_processes(_draw, asked, workers)}
-    svgs = {slug: drawn[slug].svg for slug in slugs.values() if drawn[slug].error is None}
-    return svgs, {name: error for name, slug in slugs.items() if (error := drawn[slug].error) is not None}
+    shown = {slug: drawn[slug].shown for slug in slugs.values() if drawn[slug].error is None}
+    return shown, {name: error for name, slug in slugs.items() if (error := drawn[slug].error) is not None}
 
 
 def _draw(asked: _Asked) -> _Drawn:
     """A figure, where it is drawn; an error is reported, not raised."""
+    plots: list[str] = []
     try:
-        return _Drawn(asked.slug, write_figure(asked.folder, asked.slug, asked.figure.draw), None)
+        svg = write_figure(asked.folder, asked.slug, asked.figure.draw, laid_out=lambda figure: plots.append(on_screen(figure)))
+        return _Drawn(asked.slug, ShownFigure(svg, plots[0]), None)
     except Exception as problem:
-        return _Drawn(asked.slug, "", f"{type(problem).__name__}: {problem}")
+        return _Drawn(asked.slug, ShownFigure("", ""), f"{type(problem).__name__}: {problem}")
 
 
 @dataclass(frozen=True)

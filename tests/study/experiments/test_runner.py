@@ -409,10 +409,10 @@ def broken() -> Drawing:
 @pytest.mark.parametrize("workers", [1, 2])
 def test_one_that_fails_leaves_the_others(tmp_path: Path, workers: int) -> None:
     figures = [Figure(name, name, "", draw, "") for name, draw in (("a", plain), ("b", broken), ("c", plain))]
-    svgs, errors = draw_figures(tmp_path, "toy/mean", figures, workers)
+    shown, errors = draw_figures(tmp_path, "toy/mean", figures, workers)
     assert errors == {"b": "ZeroDivisionError: no runs"}
-    assert list(svgs) == ["toy-mean-a", "toy-mean-c"]
-    assert all(svg == (tmp_path / f"{slug}.svg").read_text(encoding="utf-8") for slug, svg in svgs.items())
+    assert list(shown) == ["toy-mean-a", "toy-mean-c"]
+    assert all(one.svg == (tmp_path / f"{slug}.svg").read_text(encoding="utf-8") for slug, one in shown.items())
     assert sorted(p.suffix for p in tmp_path.iterdir()) == [".png", ".png", ".svg", ".svg"]
 
 
