@@ -10,6 +10,8 @@ residuals are as before. In each row
 - one that explains much better than all others is named, a sensor or an unknown; otherwise those that explain are suspects,
   and where none does it is the process, or several causes: "no single cause";
 - while the verdict has mostly been the process no sensor is named;
+- a sensor that has been named for as long as the longest window has a lasting fault: from then on, and until none shows it any
+  more, the windows are judged beside it, so that a second fault is named as well;
 - what looks like the sensor named last with the other sign, or again but much smaller, is the filter on its way back;
 - a sensor that repeats a reading twice as often as it ever did when healthy is frozen.
 
@@ -18,6 +20,7 @@ The numbers below were chosen on one simulated air-handling unit, but `BRIEF`, `
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Self
@@ -44,6 +47,7 @@ FALSE_ALARM = 1e-3  # per row, where no rate was fitted
 FADES = 60  # rows over which an event's rows count, and without alarm after which it is over
 SMALL = 0.15  # share of T that a cause may leave
 NEAR, NEAR_SHARE = 0.3, 0.06  # limits, or share of T, by which a rival may leave more than the best cause
+BESIDE = 0.5  # share of T that an unknown may leave, beside a lasting fault, and be a rival of a sensor all the same
 STILL, LAST = 0.5, 1.5  # of T that the last quarter shows at least, and the factor on what the last rows show
 LATELY = 10  # rows at least of the last quarter
 SHOWS, HALF = 0.3, 0.5  # share of its limit, and of its T, at which a window shows a cause at all
@@ -60,7 +64,8 @@ class FrozenMemory(NamedTuple):
     (..., LONGEST, q), and means of their derivatives over PART rows (..., LONGEST / PART, N, M); the sums of the derivatives
     since the event began, as each PART began (..., LONGEST / PART + 1, N, M); what causes have left (..., M)
     of the event, and T, and their weight; rows of the event, and whether it began within a few rows; rows without alarm,
-    and of process verdicts; the sensor named last, its largest size, and rows since; the readings before, and their repeats
+    and of process verdicts; the sensor named last, its largest size, and rows since; for how many rows it has been named; the
+    sensor with a lasting fault, -1 for none, and rows since a window has shown it; the readings before, and their repeats
     (..., N).
     """
 
@@ -79,6 +84,9 @@ class FrozenMemory(NamedTuple):
     named: Array
     size: Array
     since: Array
+    named_for: Array
+    acting: Array
+    gone: Array
     before: Array
     repeats: Array
 
@@ -88,7 +96,7 @@ class Found(NamedTuple):
     the limit (..., M); of the shortest one size and sd of the causes (..., M), as they are now; the largest ratio of any window
     (...), alarm or not; whether one would be in alarm were operation within the range of the healthy log (...); which causes
     explain half of what a window shows, at `SHOWS` of its limit at least (..., M); whether a window of at most `FRESH` rows is
-    in alarm (...).
+    in alarm (...); whether a window shows the lasting fault (...), beside which all of this is.
     """
 
     alarm: Array
@@ -100,6 +108,7 @@ class Found(NamedTuple):
     outside: Array
     shown: Array
     brief: Array
+    acts: Array
 
 
 class Witness(NamedTuple):
@@ -114,6 +123,22 @@ class Witness(NamedTuple):
     abrupt: Array
     explains: Array
     shown: Array
+
+
+class Lasting(NamedTuple):
+    """What windows show of a lasting fault: the largest part of T over its limit that nothing else explains, 0 where none shows
+    it; of the shortest that does its size, and sd (...).
+    """
+
+    explains: Array
+    size: Array
+    sd: Array
+
+    def with_window(self, now: Lasting, growth: Array) -> Lasting:
+        """With a longer window, the root of whose covariance has grown by so much (...)."""
+        first = self.explains == 0
+        size, sd = np.where(first, now.size, self.size), np.where(first, growth * now.sd, self.sd)
+        return Lasting(np.maximum(self.explains, now.explains), size, sd)
 
 
 @dataclass(frozen=True)
@@ -202,7 +227,8 @@ class FrozenBank(BatchDetector):
             np.zeros((*batch, LONGEST // PART, count, count + p)),
             np.zeros((*batch, LONGEST // PART + 1, count, count + p)), np.zeros((*batch, count + p)), none, none.copy(),
             none.copy(), np.zeros(batch, bool), np.full(batch, float(FADES)), none.copy(), np.full(batch, -1), none.copy(),
-            np.full(batch, float(LONGEST)), np.full((*batch, count), np.nan), np.zeros((*batch, count)),
+            np.full(batch, float(LONGEST)), none.copy(), np.full(batch, -1), none.copy(), np.full((*batch, count), np.nan),
+            np.zeros((*batch, count)),
         )  # fmt: skip
 
     def _judge(self, memory: Any, now: TimeStep, y: Array, u: Array) -> tuple[Any, Decision]:
@@ -261,7 +287,8 @@ class FrozenBank(BatchDetector):
         brief, event = np.zeros(batch, int), memory.abrupt & (memory.calm < FADES)
         total, ratio = np.zeros((2, *batch))
         own, size, sd = (np.zeros((*batch, causes)) for _ in range(3))
-        seen = np.zeros((*batch, causes), bool)
+        seen, acting = np.zeros((*batch, causes), bool), np.arange(causes) == memory.acting[..., None]
+        lasting, level = Lasting(*np.zeros((3, *batch))), self._named_above
         for i, (w, spread) in enumerate(zip(WINDOWS, self._spreads, strict=True)):
             if k - self.frozen.settle < w or not np.isfinite(self._limits[i]):
                 continue
@@ -275,30 +302,55 @@ class FrozenBank(BatchDetector):
                 begun = self._mean_since(k, w, memory)
                 parts = (k - 1) // PART - np.arange(w // PART)
                 d = memory.by_cause[..., parts % (LONGEST // PART), :, :].mean(axis=-3)
-            t, j, s, power = explained(spread, m, known, d, g)
+            beside = np.sum(np.where(acting[..., None, :], d, 0.0), axis=-1) if acting.any() else None
+            t, j, s, power = explained(spread, m, known, d, g, beside)
             still = t > 0
             for other in (
                 np.where((event & (memory.age < w))[..., None, None], begun, 0.0),
                 *([memory.tracked.grown[..., w - 1, :, :] / w] if w <= FRESH else []),
             ):
-                _, *than = explained(spread, m, known, other, g)
+                _, *than = explained(spread, m, known, other, g, beside)
                 j, s, power = (np.where(than[0] > j, b, a) for a, b in zip((j, s, power), than, strict=True))
             if w > FRESH:
                 quarter, last = (
                     self._mean(memory.errors[..., np.arange(k - r, k) % LONGEST, :]) for r in (max(w // 4, LATELY), LATELY)
                 )
-                shown, recent = (explained(spread, *a, d[..., :0], g)[0] for a in (quarter, last))
+                shown, recent = (explained(spread, *a, d[..., :0], g, beside)[0] for a in (quarter, last))
                 still = np.minimum(shown, LAST * recent) >= STILL * t
+            if beside is not None:
+                means = [(m, known), *([quarter, last] if w > FRESH else [])]
+                lasting = lasting.with_window(self._lasting(spread, means, d, beside, g, t > level), np.sqrt(growth))
             ratio = np.maximum(ratio, np.where(still, t, 0.0))
             seen |= (j >= HALF * t[..., None]) & (still & (t > SHOWS))[..., None]
-            outside |= (t <= self._named_above) & (t * off > self._named_above) & (off > 1)
+            outside |= (t <= level) & (t * off > level) & (off > 1)
             now = (t > 1) & still
             if w <= FRESH:
                 brief = np.where(now & (brief == 0), w, brief)
             first, most = (a[..., None] for a in (now & ~alarm, now & (t > total)))
             alarm, total, own = alarm | now, np.where(now, np.maximum(t, total), total), np.where(most, j, own)
             size, sd = np.where(first, s, size), np.where(first, np.sqrt(growth[..., None] / power), sd)
-        return Found(alarm, total, own, size, sd, ratio, outside, seen, brief)
+        acts = lasting.explains > 0
+        column = acting & acts[..., None]
+        own, size, sd = (np.where(column, a[..., None], b) for a, b in zip(lasting[:3], (own, size, sd), strict=True))
+        return Found(alarm, total, own, size, sd, np.maximum(ratio, lasting.explains), outside, seen, brief, acts)
+
+    def _lasting(
+        self, spread: Spread, means: Sequence[tuple[Array, Array]], d: Array, beside: Array, g: Array, second: Array
+    ) -> Lasting:
+        """What the means of a window, and of its last rows, show of a lasting fault with the derivatives `beside` (..., N).
+
+        second (...): whether another cause acts; that with the derivatives d (..., N, M) which explains most of what is left.
+        """
+        both = np.concatenate([beside[..., None], d], axis=-1)
+        (_, alone, size, power), *late = (explained(spread, *mean, both, g) for mean in means)
+        _, then, _, _ = explained(spread, *means[0], d, g, beside)
+        own, best = alone[..., 0], np.argmax(then, axis=-1)[..., None]
+        left = own + np.where(second, np.take_along_axis(then - alone[..., 1:], best, axis=-1)[..., 0], 0.0)
+        shows = (left > self._named_above) & (own > 0)
+        if late:
+            quarter, last = (j[..., 0] for _, j, _, _ in late)
+            shows &= np.minimum(quarter, LAST * last) >= STILL * own
+        return Lasting(*(np.where(shows, a, 0.0) for a in (left, size[..., 0], 1 / np.sqrt(power[..., 0]))))
 
     def _mean_since(self, k: int, w: int, memory: FrozenMemory) -> Array:
         """The mean over the last w of k rows of derivatives (..., N, M) by causes that began with the event."""
@@ -324,7 +376,8 @@ class FrozenBank(BatchDetector):
         left = np.where(over[..., None], 0.0, kept * memory.left)
         weight = weight + alarm
         total = total + np.where(alarm, found.total, 0.0)
-        left = left + np.where(alarm[..., None], found.total[..., None] - found.own, 0.0)
+        column = np.arange(found.own.shape[-1]) == memory.acting[..., None]
+        left = left + np.where(alarm[..., None], found.total[..., None] - np.where(column, 0.0, found.own), 0.0)
         calm = np.where(alarm, 0.0, memory.calm + 1)
         age = np.where(over, alarm, memory.age + 1.0)
         abrupt = (memory.abrupt & ~over) | (alarm & (found.brief > 0) & (age <= FRESH))
@@ -333,6 +386,8 @@ class FrozenBank(BatchDetector):
         best = np.argmin(a, axis=-1)
         least = np.take_along_axis(a, best[..., None], axis=-1)
         rival = explains & (a <= least + np.maximum(NEAR, NEAR_SHARE * whole)[..., None])
+        beside = alarm & (memory.acting >= 0)
+        rival[..., count:] |= beside[..., None] & (a[..., count:] <= BESIDE * whole[..., None])
         is_sensor = best < count
         rival[..., count:] &= is_sensor[..., None]  # unknowns are no rivals of each other
         np.put_along_axis(rival, best[..., None], False, axis=-1)
@@ -348,7 +403,7 @@ class FrozenBank(BatchDetector):
         unknown = alone & ~is_sensor
         unnamed = alarm & (~some | (alone & is_sensor & ~back & ~sensor))
         chosen = np.arange(found.own.shape[-1]) == best[..., None]
-        isolated = chosen[..., :count] & sensor[..., None]
+        isolated = chosen[..., :count] & sensor[..., None] | column[..., :count] & found.acts[..., None]
         suspect = np.asarray(some & ~alone)[..., None] & (rival | chosen)
         counted = np.where(unknown | unnamed, memory.process + 1, memory.process - 1)
         outside = found.outside & ~alarm
@@ -359,6 +414,12 @@ class FrozenBank(BatchDetector):
         stuck = frozen.any(axis=-1) & ~sensor
         which = np.argmax(frozen, axis=-1)
         size_stuck = np.take_along_axis(found.size, which[..., None], axis=-1)[..., 0]
+        named_for = np.where(
+            sensor, np.where(lasts, memory.named_for + 1, 1.0), np.where(memory.since < BRIEF, memory.named_for, 0.0)
+        )
+        gone = np.where((memory.acting >= 0) & ~found.acts, memory.gone + 1, 0.0)
+        begins = sensor & (named_for >= LONGEST) & (memory.acting < 0)
+        acting = np.where(gone > LATELY, -1, np.where(begins, best, memory.acting))
         process = np.concatenate([chosen[..., count:] & unknown[..., None], np.stack([unnamed, outside], axis=-1)], axis=-1)
         memory = memory._replace(
             left=left,
@@ -366,11 +427,14 @@ class FrozenBank(BatchDetector):
             weight=weight,
             age=age,
             abrupt=abrupt,
-            calm=calm,
-            process=np.clip(counted, 0.0, MOST),
+            calm=np.where(begins, FADES, calm),
+            process=np.where(begins, 0.0, np.clip(counted, 0.0, MOST)),
             named=np.where(sensor, best, np.where(stuck, which, memory.named)),
             size=np.where(sensor, largest, np.where(stuck, size_stuck, memory.size)),
             since=np.where(sensor | stuck, 0.0, memory.since + 1),
+            named_for=np.where(begins, 0.0, named_for),
+            acting=acting,
+            gone=gone,
             before=np.where(known, y, memory.before),
             repeats=repeats,
         )

@@ -18,7 +18,7 @@ from fusion_sfdia.detectors.verdicts import Verdict
 from fusion_sfdia.diagnosis.diagnose import diagnose_run
 from fusion_sfdia.diagnosis.events import events_of
 from fusion_sfdia.diagnosis.simulate import simulate
-from fusion_sfdia.learning.frozen_model.frozen_bank import NO_SINGLE_CAUSE, OUTSIDE, FrozenBank
+from fusion_sfdia.learning.frozen_model.frozen_bank import LONGEST, NO_SINGLE_CAUSE, OUTSIDE, FrozenBank
 from fusion_sfdia.plant.linear import linear_plant
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.signals import Sensor
@@ -164,3 +164,24 @@ def test_a_lasting_bias_that_the_filter_follows_is_not_the_process(size: float) 
     d = decisions(detector, Log(other.t, y, other.u))
     assert d.process is not None
     assert d.isolated[ONSET + 30 :, 0].mean() > 0.95 and not d.isolated[:, 1].any() and not d.process[ONSET:].any()
+
+
+def test_a_second_fault_beside_a_lasting_one_is_named_and_the_repair_of_the_first_is_seen() -> None:
+    follows = 0.95 * np.eye(3) + 0.03 * np.eye(3, k=-1)
+    sensors = [Sensor(name, f"x{i}", sigma=1.0) for i, name in enumerate("abc")]
+    plant = linear_plant(
+        "three", follows, np.eye(3), sensors, dt=1.0, x0=np.zeros(3), process_cov=np.full(3, 0.03**2), initial_cov=np.ones(3)
+    )
+    healthy, other = (simulate(plant, n, [s], truth="model", process_noise=True) for n, s in ((3000, 1), (1400, 5)))
+    detector = FrozenBank.fit(plant, Log(healthy.t, healthy.y[:, 0], healthy.u), 1e-3)
+    first, second, repair = ONSET, ONSET + LONGEST + 100, ONSET + LONGEST + 500
+    y = other.y[:, 0].copy()
+    y[first:repair, 0] += 10.0
+    y[second:, 2] -= 8.0
+    d = decisions(detector, Log(other.t, y, other.u))
+    assert d.process is not None
+    assert not d.isolated[:, 1].any() and not d.process[first:].any()
+    assert d.isolated[first + 10 : repair, 0].mean() > 0.95 and d.isolated[second + 10 :, 2].mean() > 0.95
+    assert not d.isolated[repair + 15 :, 0].any() and not d.isolated[:second, 2].any()
+    np.testing.assert_allclose(np.nanmedian(d.fault_size[second + 60 : repair][:, [0, 2]], axis=0), [10.0, -8.0], atol=0.5)
+    assert np.all((np.abs(d.residual) > d.threshold)[second + 10 : repair, 0])
