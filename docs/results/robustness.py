@@ -52,9 +52,9 @@ IMPOSSIBLE = """## What no detector can tell
   when the evidence of the rows after is there. Two sensors that fail in the same row may be named as one change of the process
   for 16 rows, and for good where that is an error of an equation.
 - **Small faults in noise that is not known to be white.** From some hundred rows sums of noise look 1.4 to 1.75 times as
-  variable as those of white noise when it is white, and are allowed to be. Were it known to be white, `robust-glr` would isolate
-  a bias of 3 sigma on two tanks in 0.95 of its rows in place of 0.85, and a drift to 10 sigma in 0.71 in place of 0.67 (24 runs
-  each, none of the tables').
+  variable as those of white noise when it is white, and are allowed to be. Were it known to be white, `robust-glr` would
+  isolate a bias of 3 sigma on two tanks in 0.95 of its rows in place of 0.85, and a drift to 10 sigma in 0.71 in place of 0.67
+  (24 runs each, none of the tables').
 - **Noise as slow as a fault.** First-order noise of 0.95 from row to row keeps its sign for some twenty rows, as a short
   bias does; only its size tells them apart.
 - **A process change that is not declared** and that shows in one sensor at once is a fault of that sensor as far as the
