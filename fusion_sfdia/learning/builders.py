@@ -38,9 +38,6 @@ CALIBRATION_SEEDS = range(900_000, 900_020)  # used by no campaign
 CALIBRATION_STEPS = 360
 FEW = 4  # runs from which a frozen model is commissioned: its limits are of blocks, not of single samples
 WARM_UP = 60  # samples: the printed filters converge slowly
-PAPER_PROCESS = {
-    "gas-pipeline": 0.9
-}  # process noise over the sigma of the state's sensor: Shaheen 2024, sec. V, for its own plant
 PAPER_UNITS = {"Pa": 1e6}  # Shaheen 2024 computes in MPa, kg/s, K: its residual (20) adds these units
 
 PAPER_FILTERS: dict[str, Estimator] = {  # Shaheen 2024, sec. V-A: alpha, beta and N_e
@@ -53,9 +50,9 @@ PAPER_FILTERS: dict[str, Estimator] = {  # Shaheen 2024, sec. V-A: alpha, beta a
 def as_printed(plant: Plant) -> Plant:
     """The plant with the process noise that Shaheen 2024 prints: "10% lower than that of the measurement noise".
 
-    The sentence is on the pipeline, all states of which are measured. Any other plant keeps its own process noise.
+    The sentence is on the pipeline, all states of which are measured: a plant without `printed_process_noise` keeps its own.
     """
-    if (share := PAPER_PROCESS.get(plant.name)) is None:
+    if (share := plant.printed_process_noise) is None:
         return plant
     sigma = {s.measures: s.noise_sigma for s in plant.sensors}
     stated = np.sqrt(np.broadcast_to(diagonal(plant.process_cov), plant.x0.shape))

@@ -199,6 +199,9 @@ class Plant:
         is no default noise.
     process_bound : array (n,), optional
         Largest |w| over one nominal dt, None where not stated.
+    printed_process_noise : float, optional
+        What the plant's paper prints for its filters, where the plant states another: the standard deviation of w over that of
+        the sensor that reads the state. The paper's detectors use it.
     numerics : Numerics, default Numerics()
         Jacobians and admissible steps.
     truth : Truth, default Truth()
@@ -238,6 +241,7 @@ class Plant:
     initial_cov: Array = FROM_STATES
     process_cov: Array = FROM_STATES
     process_bound: Array | None = None
+    printed_process_noise: float | None = None
     numerics: Numerics = field(default_factory=Numerics)
     truth: Truth = field(default_factory=Truth)
     structure: Structure = field(default_factory=Structure)
@@ -267,6 +271,9 @@ class Plant:
             raise ValueError(
                 f"plant {self.name!r}: process_bound has shape {np.shape(bound)}; expected ({n},) numbers of at least 0"
             )
+        printed = self.printed_process_noise
+        if printed is not None and not 0 <= number(f"plant {self.name!r}: printed_process_noise", printed) < np.inf:
+            raise ValueError(f"plant {self.name!r}: printed_process_noise is {printed}; it must be finite and at least 0")
         _require_considered(self)
         _require_shapes(self)
 

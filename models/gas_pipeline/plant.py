@@ -186,6 +186,7 @@ def gas_pipeline(
         x0=x0,
         initial_cov=np.repeat((sigma if initial == "noise" else np.array(IDENTITY)) ** 2, nodes),
         process_cov=np.repeat((PROCESS_NOISE[process_noise] * sigma) ** 2, nodes),
+        printed_process_noise=PROCESS_NOISE["nine-tenths"],
         numerics=Numerics(step.jacobian, model.output_jacobian, max_dt=limit * count),
         truth=Truth(operation=partial(_operation, dt, flow), finer=partial(_finer, finer, nodes)),
         uncertainty=Uncertainty(

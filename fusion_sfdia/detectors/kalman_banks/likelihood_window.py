@@ -158,7 +158,7 @@ def shifted(window: Window, grid: OnsetGrid, step: int) -> Shifted:
 
 
 def weigh(now: Shifted, step: WindowStep, effect: Effect) -> Weighed:
-    """Take the window over a step and add its innovations; a and b of `now` are written to.
+    """Take the window over a step and add its innovations.
 
     Where all runs have the same transition and the same hypotheses, such as biases, eta and b are computed once.
     """
@@ -166,14 +166,21 @@ def weigh(now: Shifted, step: WindowStep, effect: Effect) -> Weighed:
     kind, D = before.eta.dtype, effect.readings
     alike = effect.state is None and D.ndim == 1 and len(step.A) == len(step.seen) == 1
     old = contiguous(single(before.eta) if alike else before.eta)
-    eta, b = np.empty_like(old), contiguous(single(b) if len(old) == 1 else b)
+    eta, a, b = np.empty_like(old), np.array(a, order="C"), np.array(single(b) if len(old) == 1 else b, order="C")
     change = np.empty((1, step.A.shape[-1], 0)) if effect.state is None else effect.state
     readings = D if D.ndim > 1 else repeated(D[None], age)
-    window_kernels.weighed(
-        old, eta, contiguous(a), b, contiguous(age), places, step.A, step.leading, step.FK,
-        contiguous(single(before.readings)), of_runs(change.astype(kind, copy=False), 2), effect.once, step.half, step.seen,
-        step.scores, contiguous(single(readings)),
-    )  # fmt: skip
+    onsets = window_kernels.Onsets(contiguous(age), places, contiguous(single(before.readings)), contiguous(single(readings)))
+    taken = window_kernels.Taken(
+        step.A,
+        step.leading,
+        step.FK,
+        step.half,
+        step.seen,
+        step.scores,
+        of_runs(change.astype(kind, copy=False), 2),
+        effect.once,
+    )
+    window_kernels.weighed(old, eta, a, b, onsets, taken)
     return Weighed(repeated(eta, a), readings, a, repeated(b, a), age, step.H[0] if len(step.H) == 1 else step.H)
 
 

@@ -98,8 +98,10 @@ def nothing_shown(batch: tuple[int, ...], sensors: int) -> ReadingNoise:
 
 def learnt(now: ReadingNoise, found: LeaveOneOut, where: Array) -> ReadingNoise:
     """With the readings of a sample, in runs `where` (...) holds; sensors that are not used keep what is known of them."""
-    given = map(contiguous, (found.whitened, found.weight, found.used, where))
-    return ReadingNoise(*_learnt(larger_from(now.size.shape[-1]), *given, *(np.array(v, order="C") for v in now)))
+    u, w, used, where = map(contiguous, (found.whitened, found.weight, found.used, where))
+    known = ReadingNoise(*(np.array(v, order="C") for v in now))
+    _learnt(larger_from(now.size.shape[-1]), u, w, used, where, known)
+    return known
 
 
 def larger_from(sensors: int) -> float:
@@ -129,11 +131,9 @@ def common_correlation(own: Array, every: float) -> float:
 
 
 @compiled
-def _learnt(
-    larger: float, u: Array, w: Array, used: Array, where: Array, size: Array, common: Array, spread: Array, last: Array,
-    own: Array, every: Array, samples: Array, level: Array, off: Array, later: Array,
-) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array, Array]:  # fmt: skip
-    """The same of B runs; what is known is written to. larger: see `larger_from`."""
+def _learnt(larger: float, u: Array, w: Array, used: Array, where: Array, now: ReadingNoise) -> None:
+    """The same of B runs, written into what is known. larger: see `larger_from`."""
+    size, common, spread, last, own, every, samples, level, off, later = now
     B, N = u.shape
     side = np.empty(N)
     for r in range(B):
@@ -171,7 +171,6 @@ def _learnt(
                 found = max(np.median(level[r] ** 2) / MEDIAN - chance, 0.0)
                 off[r] = found if seen <= BLOCK else later[r]
                 later[r] = found
-    return size, common, spread, last, own, every, samples, level, off, later
 
 
 def is_larger(now: ReadingNoise) -> Array:

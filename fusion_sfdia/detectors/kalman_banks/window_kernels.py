@@ -5,7 +5,7 @@ Arrays have one batch axis first, of B runs, or of 1 where they are the same for
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,33 +112,43 @@ def transition(
     return A, columns, FK, seen
 
 
+class Onsets(NamedTuple):
+    """The onsets of windows, by slot: age (B, L), places (L,) of theirs in the windows before, -1 for none; D of the readings
+    before, and now (B, L).
+    """
+
+    age: Array
+    places: Array
+    before: Array
+    readings: Array
+
+
+class Taken(NamedTuple):
+    """What a step takes windows over: of `WindowStep` A, its leading columns, FK, U', -U' H and U' d; change (B, n, r): C, the
+    first `once` at the onset only.
+    """
+
+    A: Array
+    leading: Array
+    FK: Array
+    half: Array
+    seen: Array
+    scores: Array
+    change: Array
+    once: int
+
+
 @compiled
-def weighed(
-    old: Array,
-    eta: Array,
-    a: Array,
-    b: Array,
-    age: Array,
-    places: Array,
-    A: Array,
-    leading: Array,
-    FK: Array,
-    before: Array,
-    change: Array,
-    once: int,
-    half: Array,
-    seen: Array,
-    scores: Array,
-    readings: Array,
-) -> None:
+def weighed(old: Array, eta: Array, a: Array, b: Array, onsets: Onsets, step: Taken) -> None:
     """Take windows over a step, and add the present innovations to a and b (B, L, q), in place: see `window_step`.
 
-    eta (B, L, n, q) is written, from the slots `places` (L,) of `old`. A (B, n, n), and its columns of the `leading` states;
-    the others count only where they are not 0. FK (B, n, N); before (B, L): D of `old`. change (B, n, r): C, the first `once`
-    at the onset only. half (B, N, N): U', seen (B, rank, read): -U' H of the states that are read, whose other rows are 0,
-    scores (B, N): U' d, readings (B, L): D. Each is of 1 run where it is the same for all; eta and b may be. One onset comes
-    after the other, so that what belongs to it stays near. Onsets that are the same have the same bits.
-    """  # fmt: skip
+    eta (B, L, n, q) is written, from the slots `places` of `old`. A (B, n, n), and its columns of the `leading` states; the
+    others count only where they are not 0. FK (B, n, N), half (B, N, N), seen (B, rank, read): -U' H of the states that are
+    read, whose other rows are 0, scores (B, N). Each is of 1 run where it is the same for all; eta and b may be. One onset
+    comes after the other, so that what belongs to it stays near. Onsets that are the same have the same bits.
+    """
+    age, places, before, readings = onsets
+    A, leading, FK, half, seen, scores, change, once = step
     E, L, n, q = eta.shape
     N, r, d, rank, read = half.shape[1], change.shape[2], leading.shape[2], seen.shape[1], seen.shape[2]
     number = eta.dtype.type
