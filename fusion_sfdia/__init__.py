@@ -35,6 +35,8 @@ def __getattr__(name: str) -> Any:
         return import_module(f"{__name__}.{name}")
     if name in _names or name.startswith("_"):
         return _public(name)
+    if name == "commission":
+        return import_module(f"{__name__}.learning").commission
     homes = (f"{group}.{name}" for group in _GROUPS if name in import_module(f"{__name__}.{group}").__all__)
     if (now := _RENAMED.get(name) or next(homes, "")) == "":
         return _public(name)  # which states the public names

@@ -2,7 +2,6 @@
 
 from fusion_sfdia.learning.builders import fit as fit
 from fusion_sfdia.learning.commissioning.commission import Commissioning as Commissioning
-from fusion_sfdia.learning.commissioning.commission import commission as commission
 from fusion_sfdia.learning.identification.choice import Candidate as Candidate
 from fusion_sfdia.learning.identification.choice import ModelChoice as ModelChoice
 from fusion_sfdia.learning.identification.healthy_runs import without_repeats as without_repeats

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import probability
+from fusion_sfdia.common.errors import warn_renamed
 from fusion_sfdia.learning.commissioning.disturbances import WINDOW, FoundDisturbance, learnt, windows
 from fusion_sfdia.learning.commissioning.noise_likelihood import (
     Noise,
@@ -142,7 +143,7 @@ class Commissioning(NamedTuple):
         Examples
         --------
         >>> from fusion_sfdia import simulate
-        >>> from fusion_sfdia.learning import Commissioning, commission
+        >>> from fusion_sfdia.learning import Commissioning
         >>> from fusion_sfdia.plants import two_tanks
         >>> healthy = simulate(two_tanks(), 300, seeds=[3], truth=two_tanks(outlet=0.9))
         >>> found: Commissioning = Commissioning.of(two_tanks(), healthy, false_alarm=None)
@@ -198,31 +199,8 @@ class Commissioning(NamedTuple):
 
 
 def commission(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Plant:
-    """Return the plant as a healthy log shows it: see `Commissioning.of`, whose report has the reasons.
-
-    Parameters
-    ----------
-    plant : Plant
-        The model.
-    *healthy : arrays, Log, Recording or frame
-        As of `Commissioning.of`.
-    false_alarm : float, default 1e-3
-        As of `Commissioning.of`.
-
-    Returns
-    -------
-    Plant
-        The commissioned one.
-
-    Raises
-    ------
-    ValueError
-        As `Commissioning.of` does.
-
-    Examples
-    --------
-    See `Commissioning.of`.
-    """
+    """The former name of `Commissioning.of(...).plant`."""
+    warn_renamed("fusion_sfdia.learning.commission(...)", "fusion_sfdia.learning.Commissioning.of(...).plant")
     return Commissioning.of(plant, *healthy, false_alarm=false_alarm).plant
 
 

@@ -56,14 +56,14 @@ def of_healthy(plant: Plant, found: OnHealthy) -> Iterator[PlantFinding]:
                 s.name,
                 f"the healthy readings differ from their predictions by {ratio:.2g} times what the plant states, "
                 + ("so that false alarms follow: " if ratio > 1 else "so that faults are found late: ")
-                + "correct its sigma or the process noise (`commission`)",
+                + "correct its sigma or the process noise (`Commissioning.of`)",
             )
         if np.isfinite(rho) and rho > LASTING and rho > 5 / np.sqrt(pairs):
             yield PlantFinding(
                 REMARK,
                 s.name,
                 f"predictions err in one direction for several samples (autocorrelation {rho:.2f}): the model is off; state "
-                "its `uncertainty` and use robust-glr, or fit it (`commission`)",
+                "its `uncertainty` and use robust-glr, or fit it (`Commissioning.of`)",
             )
     if found.events:
         some = "; ".join(found.events[:3]) + (f" and {len(found.events) - 3} more" if len(found.events) > 3 else "")

@@ -11,7 +11,7 @@ import pytest
 from scipy.signal import lfilter
 
 from fusion_sfdia.diagnosis.simulate import simulate
-from fusion_sfdia.learning.commissioning.commission import Commissioning, commission
+from fusion_sfdia.learning.commissioning.commission import Commissioning
 from fusion_sfdia.learning.commissioning.disturbances import FoundDisturbance, with_disturbance
 from fusion_sfdia.learning.commissioning.refusals import require_moving
 from fusion_sfdia.models.two_tanks.plant import two_tanks
@@ -73,7 +73,7 @@ def test_a_mismatch_of_which_nothing_is_declared_is_learnt() -> None:
 def test_a_log_with_a_biased_sensor_is_refused(since: int) -> None:
     log = biased(healthy(), 1, 10 * 0.01, since)
     with pytest.raises(ValueError, match="'l2' contradicts all others"):
-        commission(bare(), log, false_alarm=RATE)
+        Commissioning.of(bare(), log, false_alarm=RATE)
 
 
 @pytest.mark.slow
@@ -102,7 +102,7 @@ def test_a_frozen_sensor_is_refused() -> None:
     with pytest.raises(
         ValueError, match=r"'q12' shows the same reading 20 times in a row .*, until \d+ s of run 0: it is frozen"
     ):
-        commission(bare(), log._replace(y=y))
+        Commissioning.of(bare(), log._replace(y=y))
 
 
 def test_equal_readings_of_a_coarse_sensor_are_frozen_only_where_they_are_four_times_as_many_as_otherwise() -> None:
@@ -123,14 +123,14 @@ def test_equal_readings_of_a_coarse_sensor_are_frozen_only_where_they_are_four_t
 def test_a_log_that_is_too_short_is_refused() -> None:
     log = Log(*(a[:80] for a in healthy()))
     with pytest.raises(ValueError, match="80 samples; expected at least 8"):
-        commission(bare(), log)
+        Commissioning.of(bare(), log)
     log = Log(*(a[:120] for a in healthy()))
     with pytest.raises(ValueError, match="expected at least 1000"):
-        commission(bare(), log)
+        Commissioning.of(bare(), log)
 
 
 def test_a_filter_that_diverges_is_refused_with_the_time_since_the_beginning() -> None:
     log, own = healthy(), bare()
     lost = replace(own, output=lambda t, x, u: own.output(t, x, u) + (np.nan if t > 1150 else 0.0))
     with pytest.raises(ValueError, match="diverges 150 s after the beginning of one of the 2 stretches of the healthy log"):
-        commission(lost, log._replace(t=log.t + 1000.0), false_alarm=RATE)
+        Commissioning.of(lost, log._replace(t=log.t + 1000.0), false_alarm=RATE)
