@@ -101,6 +101,7 @@ def test_physics_that_does_not_fit_together_is_refused(change: dict[str, Any], m
         ({"initial_cov": np.eye(3) + 2 * np.eye(3)[::-1]}, "initial_cov is not symmetric positive semi-definite"),
         ({"process_bound": np.ones(2)}, r"process_bound has shape \(2,\); expected \(3,\)"),
         ({"process_bound": np.array([1.0, -1.0, 1.0])}, "expected .* numbers of at least 0"),
+        ({"printed_process_noise": -0.1}, "printed_process_noise is -0.1; it must be finite and at least 0"),
     ],
 )
 def test_a_plant_that_does_not_fit_together_is_refused(change: dict[str, Any], message: str) -> None:
