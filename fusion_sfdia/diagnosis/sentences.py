@@ -166,13 +166,14 @@ def sentence(e: Event, words: Words, clock: Clock, *, ended: bool = True, after:
 
 def by_importance(events: Sequence[Event], passing: Sequence[Event] = ()) -> list[Event]:
     """Events, the most important first: sensors, the process, what was not learnt, what is undecided, and last what is
-    improbable, or `passing`; of each what is certain, then what still acts, then the largest.
+    improbable, or `passing`; of each what is certain, then what still acts, then the largest, and the longest of unknown sizes.
     """
     ended = set(map(id, passing))
 
-    def key(e: Event) -> tuple[bool, int, bool, bool, float, float]:
-        size = abs(e.sigmas) if math.isfinite(e.sigmas) else 0.0
-        return (id(e) in ended, kind_of(e).rank, e.confidence < CERTAIN, not e.open, -size, e.start)
+    def key(e: Event) -> tuple[bool, int, bool, bool, float, float, float]:
+        size, known = (abs(e.sigmas), True) if math.isfinite(e.sigmas) else (0.0, False)
+        lasted = 0.0 if known else e.end - e.start
+        return (id(e) in ended, kind_of(e).rank, e.confidence < CERTAIN, not e.open, -size, -lasted, e.start)
 
     return sorted(events, key=key)
 

@@ -11,7 +11,7 @@ from typing import IO, Any, NamedTuple
 
 from fusion_sfdia.common.arguments import shown, some
 from fusion_sfdia.common.errors import MissingPackageError
-from fusion_sfdia.logs.columns import split_title
+from fusion_sfdia.logs.columns import TIME, split_title, usual_time
 from fusion_sfdia.logs.delimited import Cells, listed, read_text
 from fusion_sfdia.logs.frames import as_pandas, is_frame
 from fusion_sfdia.logs.kinds import ARROW, MDF, PACKED, PARQUET, TDMS, TEXT, WORKBOOK, kind_of, unpacked
@@ -22,7 +22,6 @@ from fusion_sfdia.logs.ragged import cut_row, is_cut, rectangle
 from fusion_sfdia.logs.recordings import by_time, read_channels
 from fusion_sfdia.logs.workbooks import sheet_rows
 
-TIME = r"(?:date[ /_-]?time|time[ _-]?stamp|time[ _-]?string|date|time|zeitstempel|zeit)"  # titles of times
 AGAIN = re.compile(r"(.+?)(?: \(\d+\)|\.\d+)")  # a title that occurs once more, as `again` or pandas writes it
 
 
@@ -160,7 +159,11 @@ def _of_frame(where: str, frame: Any, log_map: LogMap) -> Table:
     index = frame.index
     if not set(log_map.time) <= named and (index.dtype.kind in "mM" or index.name in log_map.time):
         titles, columns = [*titles, log_map.time[0]], [*columns, index]
-    elif not set(log_map.time) & named and sum(bool(re.search(rf"\b{TIME}\b", t, re.I)) for t in titles) < 2:
+    elif (
+        not set(log_map.time) & named
+        and usual_time(titles, log_map) is None
+        and sum(bool(re.search(rf"\b{TIME}\b", t, re.I)) for t in titles) < 2
+    ):
         raise ValueError(
             f"{where}: no column {log_map.time[0]!r} among {some(titles)}, and its index has the name {index.name!r}; give the "
             "column of the times (s) that name, or the index: frame.rename_axis('time')"

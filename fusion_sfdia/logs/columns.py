@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Container, Sequence
+from dataclasses import replace
 from difflib import get_close_matches
 from typing import Any, NamedTuple
 
@@ -11,12 +12,13 @@ from fusion_sfdia.common.arguments import require_unique, shown, some
 from fusion_sfdia.common.plain_text import uncell
 from fusion_sfdia.logs.conversion import Conversion, conversion
 from fusion_sfdia.logs.epochs import SECONDS, count_of
-from fusion_sfdia.logs.log_map import Column, LogMap
+from fusion_sfdia.logs.log_map import PLAIN_MAP, Column, LogMap
 from fusion_sfdia.logs.numbers import Numbers
 from fusion_sfdia.logs.problems import Problems
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.signals import Sensor, Signal
 
+TIME = r"(?:date[ /_-]?time|time[ _-]?stamp|time[ _-]?string|date|time|zeitstempel|zeit)"  # titles of times
 BRACKET = re.compile(r"(.*?)(\s*)\[([^\[\]]*)\]", re.DOTALL)
 INDEX = re.compile(r"\s*\d+(?:\s*,\s*\d+)*\s*")
 
@@ -89,6 +91,8 @@ def find_sources(
     of nothing and inputs without a column are accepted. With columns in the map, others than its own and the plant's are not
     used. What follows from another problem is no problem of its own: a column of a wrong unit is no missing sensor.
     """
+    if usual := usual_time(header, log_map):
+        log_map = replace(log_map, time=(usual,))
     long = bool(log_map.tag)
     if not long:
         with problems.collecting("columns"):
@@ -220,6 +224,14 @@ def _lacking_titles(header: Sequence[str], log_map: LogMap) -> list[str]:
 def _similar(names: Sequence[str], titles: Sequence[str]) -> dict[str, str]:
     """For each of the names that has one the title that is most similar."""
     return {name: match for name in names for match in get_close_matches(name, titles, n=1, cutoff=0.75)}
+
+
+def usual_time(titles: Sequence[str], log_map: LogMap) -> str | None:
+    """The one column with a usual title of times, where the map states none and none is called "time"."""
+    names = [split_title(t)[0] for t in titles]
+    usual = [n for n in names if re.fullmatch(TIME, n, re.I) and n not in log_map.columns]
+    stated = log_map.time != PLAIN_MAP.time or log_map.time[0] in (*titles, *names)
+    return None if stated or len(usual) != 1 else usual[0]
 
 
 def _of_lacking(header: Sequence[str], log_map: LogMap, lacking: Sequence[str], near: dict[str, str]) -> str:

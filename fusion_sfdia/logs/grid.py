@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.clock import Clock
-from fusion_sfdia.logs.cell_tables import AGAIN, TIME, Table
-from fusion_sfdia.logs.columns import split_title
+from fusion_sfdia.logs.cell_tables import AGAIN, Table
+from fusion_sfdia.logs.columns import TIME, split_title, usual_time
 from fusion_sfdia.logs.loaded_log import Finding, counted
-from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap
+from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.logs.time_order import LogRows
 
 Array = NDArray[Any]
@@ -69,12 +69,10 @@ def tagged(table: Table, log_map: LogMap) -> TimedTags:
 
 def _with_usual_time(table: Table, log_map: LogMap) -> tuple[Table, LogMap]:
     """The map with the column of times where it states none, none is called "time" and one has a usual title of times."""
-    names = [split_title(t)[0] for t in table.titles]
-    usual = [n for n in names if re.fullmatch(TIME, n, re.I) and n not in log_map.columns]
-    if log_map.time != PLAIN_MAP.time or log_map.time[0] in (*table.titles, *names) or len(usual) != 1:
+    if (usual := usual_time(table.titles, log_map)) is None:
         return table, log_map
-    found = Finding("time", "", len(table.rows), f"times are those of the column {usual[0]!r}")
-    return table._replace(findings=(*table.findings, found)), replace(log_map, time=(usual[0],))
+    found = Finding("time", "", len(table.rows), f"times are those of the column {usual!r}")
+    return table._replace(findings=(*table.findings, found)), replace(log_map, time=(usual,))
 
 
 def _by_position(titles: Sequence[str], log_map: LogMap) -> dict[str, str]:

@@ -172,6 +172,8 @@ def test_sensors_are_first_then_the_process_then_what_is_undecided() -> None:
     assert by_importance(given) == [large, TT04, likely, OUTLET, undecided, unlikely]
     assert [sentence(replace(TT04, confidence=p), WORDS, NIGHT).split()[3] for p in (0.49, 0.5)] == ["perhaps", "probably"]
     assert by_importance([undecided, OUTLET], passing=[undecided]) == [OUTLET, undecided]
+    brief = replace(TT04, end=TT04.start, sigmas=np.nan)  # as of a monitor, whose sizes have no sigma
+    assert by_importance([brief, long := replace(TT04, hypothesis="l1", start=60.0, sigmas=np.nan)]) == [long, brief]
     assert counted([undecided, OUTLET, TT04, large]) == "2 faulty sensors, 1 process change, 1 unresolved alarm"
 
 

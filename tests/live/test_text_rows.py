@@ -25,6 +25,13 @@ def test_csv_by_the_names_of_the_header() -> None:
     assert np.isnan(rows.row(",10,,,,")[2]).all()
 
 
+@pytest.mark.parametrize("title", ["Time", "Timestamp [s]", "Date-Time"])
+def test_a_usual_title_of_times_is_taken_as_by_a_log_file(title: str) -> None:
+    rows = TextRows(tanks())
+    assert rows.row(HEADER.replace("time [s]", title)) is None
+    assert rows.row("6e-4,5,1e-3,,0.9,1.1\n")[0] == 5.0
+
+
 @pytest.mark.parametrize("end", ["1.0", "1.", "", "1.03\x00"])
 def test_a_last_line_that_is_cut_off_is_no_row(end: str) -> None:
     rows = TextRows(tanks())

@@ -153,6 +153,7 @@ def test_times_that_could_be_misread_are_refused() -> None:
         ValueError, match=r"no column 'time' among .*, and its index has the name None; .*rename_axis\('time'\)"
     ):
         as_log(PLANT, data.drop(columns="time"))  # the index counts rows
+    np.testing.assert_array_equal(as_log(PLANT, data.rename(columns={"time": "Timestamp"})).t, arrays().t)  # as of a file
     with pytest.raises(ValueError, match=r"t is .*; expected an array of numbers; pass dates as seconds since the first"):
         as_log(PLANT, stamps.to_numpy(), *arrays()[1:])
 
