@@ -170,7 +170,7 @@ def weigh(now: Shifted, step: WindowStep, effect: Effect) -> Weighed:
     change = np.empty((1, step.A.shape[-1], 0)) if effect.state is None else effect.state
     readings = D if D.ndim > 1 else repeated(D[None], age)
     onsets = window_kernels.Onsets(contiguous(age), places, contiguous(single(before.readings)), contiguous(single(readings)))
-    taken = window_kernels.Taken(
+    arrays = window_kernels.StepArrays(
         step.A,
         step.leading,
         step.FK,
@@ -180,7 +180,7 @@ def weigh(now: Shifted, step: WindowStep, effect: Effect) -> Weighed:
         of_runs(change.astype(kind, copy=False), 2),
         effect.once,
     )
-    window_kernels.weighed(old, eta, a, b, onsets, taken)
+    window_kernels.weighed(old, eta, a, b, onsets, arrays)
     return Weighed(repeated(eta, a), readings, a, repeated(b, a), age, step.H[0] if len(step.H) == 1 else step.H)
 
 

@@ -123,7 +123,7 @@ class Onsets(NamedTuple):
     readings: Array
 
 
-class Taken(NamedTuple):
+class StepArrays(NamedTuple):
     """What a step takes windows over: of `WindowStep` A, its leading columns, FK, U', -U' H and U' d; change (B, n, r): C, the
     first `once` at the onset only.
     """
@@ -139,7 +139,7 @@ class Taken(NamedTuple):
 
 
 @compiled
-def weighed(old: Array, eta: Array, a: Array, b: Array, onsets: Onsets, step: Taken) -> None:
+def weighed(old: Array, eta: Array, a: Array, b: Array, onsets: Onsets, step: StepArrays) -> None:
     """Take windows over a step, and add the present innovations to a and b (B, L, q), in place: see `window_step`.
 
     eta (B, L, n, q) is written, from the slots `places` of `old`. A (B, n, n), and its columns of the `leading` states; the
