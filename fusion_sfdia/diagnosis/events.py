@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar
 
@@ -131,6 +131,23 @@ class Event:
             By the names of the attributes, with kind, start_time and end_time.
         """
         return {"kind": self.kind, **asdict(self), "start_time": clock.iso(self.start), "end_time": clock.iso(self.end)}
+
+    def statement(self, when: str, words: Mapping[str, object]) -> str:
+        """What a technician is told of an event of its own kind; "" where its kind, size and suspects are all there is to tell.
+
+        Parameters
+        ----------
+        when : str
+            From when to when, in words.
+        words : mapping of str
+            What each hypothesis is called.
+
+        Returns
+        -------
+        str
+            Sentences.
+        """
+        return ""
 
     @property
     def extent(self) -> str:

@@ -142,6 +142,8 @@ def sentence(e: Event, words: Words, clock: Clock, *, ended: bool = True, after:
     is left out.
     """
     when = f"since {clock.wall(e.start)}" if e.open else clock.span(e.start, e.end)
+    if own := e.statement(when, words):
+        return own
     if isinstance(e, UndecidedEvent):
         return _undecided(e, words, when)
     if isinstance(e, ProcessEvent):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, ClassVar, NamedTuple
@@ -54,6 +54,15 @@ class GroupEvent(Event):
         by = f", most: {listed(self.most)}" if self.most else ""
         return f"process {self.when(clock)}: readings that move together as never in the healthy logs{by}; no sensor alone"
 
+    def statement(self, when: str, words: Mapping[str, object]) -> str:
+        """What a technician is told."""
+        moved, most = "have moved" if self.open else "moved", [str(words.get(name) or name) for name in self.most]
+        by = f", {listed(most)} most of all" if most else ""
+        return (
+            f"Readings {moved} together {when} as never in the healthy logs{by}; no sensor alone explains that. Check how the "
+            "plant is being run."
+        )
+
 
 @dataclass(frozen=True)
 class OutsideEvent(GroupEvent):
@@ -66,6 +75,10 @@ class OutsideEvent(GroupEvent):
         by = f", most: {listed(self.most)}" if self.most else ""
         return f"outside what was learnt {self.when(clock)}{by}: an operation that no healthy log has, or a process fault"
 
+    def statement(self, when: str, words: Mapping[str, object]) -> str:
+        """As of any operation outside the healthy logs."""
+        return ""
+
 
 @dataclass(frozen=True)
 class RecorderEvent(Event):
@@ -77,6 +90,11 @@ class RecorderEvent(Event):
         """The event in words, with the times of a clock."""
         return f"recorder stopped {self.when(clock)}: several sensors repeat or miss their readings since the same row"
 
+    def statement(self, when: str, words: Mapping[str, object]) -> str:
+        """What a technician is told."""
+        did = "have repeated or missed" if self.open else "repeated or missed"
+        return f"Several sensors {did} their readings {when}, all from the same row on. Check the recorder and its link."
+
 
 @dataclass(frozen=True)
 class StillEvent(Event):
@@ -87,6 +105,14 @@ class StillEvent(Event):
     def summary(self, clock: Clock) -> str:
         """The event in words, with the times of a clock."""
         return f"{self.hypothesis} moved {self.when(clock)}, by {with_unit(f'{self.size:.4g}', self.unit)}; never when healthy"
+
+    def statement(self, when: str, words: Mapping[str, object]) -> str:
+        """What a technician is told."""
+        name, size = str(words.get(self.hypothesis) or self.hypothesis), with_unit(f"{abs(self.size):.3g}", self.unit)
+        moved = "has moved" if self.open else "moved"
+        return (
+            f"{name[:1].upper()}{name[1:]} {moved} by {size} {when}, which it never did in the healthy logs. Check it on site."
+        )
 
 
 HOW = ("", "freeze", "dropout", "noise")  # what shows a sensor: where it is noise, that alone

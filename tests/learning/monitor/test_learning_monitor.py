@@ -11,10 +11,14 @@ import pytest
 from numpy.typing import NDArray
 
 import fusion_sfdia as sfdia
+from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors.verdicts import Verdict
+from fusion_sfdia.diagnosis.events import Event
+from fusion_sfdia.diagnosis.sentences import Wording, sentence
 from fusion_sfdia.learning.monitor.causes import OK, RECORDER
 from fusion_sfdia.learning.monitor.channels import pieces_of, read
 from fusion_sfdia.learning.monitor.monitor import Monitor
+from fusion_sfdia.learning.monitor.row_verdicts import GroupEvent, OutsideEvent, RecorderEvent, StillEvent
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.signals import Signal
 
@@ -292,3 +296,21 @@ def test_the_result_is_plotted_and_reported_as_that_of_a_detector(monitor: Monit
     assert [a.get_ylabel() for a in found.plot().axes]
     page = found.report(tmp_path / "found.html").read_text(encoding="utf-8")
     assert "By the monitor" in page and "Judged by healthy logs, without a model" in page and "s2" in page
+
+
+@pytest.mark.parametrize(
+    ("event", "said"),
+    [
+        (GroupEvent("process", 0.0, 60.0, np.nan, "", False, most=("F1", "T2")), "Readings moved together from 0 s to 60 s as"),
+        (GroupEvent("process", 0.0, 60.0, np.nan, "", False, most=("F1", "T2")), "healthy logs, sensor F1, T2 most of all; no"),
+        (
+            GroupEvent("process", 0.0, 60.0, np.nan, "", True),
+            "Readings have moved together since 0 s as never in the healthy logs;",
+        ),
+        (OutsideEvent("outside", 0.0, 60.0, np.nan, "", False), "Operation from 0 s to 60 s was unlike any healthy log"),
+        (RecorderEvent("recorder", 0.0, 60.0, np.nan, "", False), "all from the same row on. Check the recorder and its link."),
+        (StillEvent("F1", 0.0, 60.0, -2.5, "m3/h", False), "Sensor F1 moved by 2.5 m3/h from 0 s to 60 s, which it never did"),
+    ],
+)
+def test_each_kind_of_event_is_a_sentence(event: Event, said: str) -> None:
+    assert said in sentence(event, {"F1": Wording("sensor", "F1")}, Clock())
