@@ -363,8 +363,7 @@ matrices that a step at rest reads, take at least at the measured rates of produ
 
 `fusion-sfdia bench large`. Every step: gains change with each row, as after a start, an alarm or a reading that is missing. At
 rest: the model is linear and does not change, the same sensors have been read for some rows, and none is far off; then gains
-are kept. In brackets the ratio to filterpy's filter. These times, unlike the others, were measured beside other
-work; the ratios are of one run, in turns:
+are kept. In brackets the ratio to filterpy's filter, of one run, in turns:
 """
 
 
