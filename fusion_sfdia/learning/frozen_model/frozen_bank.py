@@ -304,7 +304,7 @@ class FrozenBank(BatchDetector):
                 d = memory.by_cause[..., parts % (LONGEST // PART), :, :].mean(axis=-3)
             beside = np.sum(np.where(acting[..., None, :], d, 0.0), axis=-1) if acting.any() else None
             t, j, s, power = explained(spread, m, known, d, g, beside)
-            still = t > 0
+            then, still = j, t > 0
             for other in (
                 np.where((event & (memory.age < w))[..., None, None], begun, 0.0),
                 *([memory.tracked.grown[..., w - 1, :, :] / w] if w <= FRESH else []),
@@ -319,7 +319,10 @@ class FrozenBank(BatchDetector):
                 still = np.minimum(shown, LAST * recent) >= STILL * t
             if beside is not None:
                 means = [(m, known), *([quarter, last] if w > FRESH else [])]
-                lasting = lasting.with_window(self._lasting(spread, means, d, beside, g, t > level), np.sqrt(growth))
+                lasting = lasting.with_window(
+                    self._lasting(spread, means, np.concatenate([beside[..., None], d], axis=-1), then, g, t > level),
+                    np.sqrt(growth),
+                )
             ratio = np.maximum(ratio, np.where(still, t, 0.0))
             seen |= (j >= HALF * t[..., None]) & (still & (t > SHOWS))[..., None]
             outside |= (t <= level) & (t * off > level) & (off > 1)
@@ -335,15 +338,14 @@ class FrozenBank(BatchDetector):
         return Found(alarm, total, own, size, sd, np.maximum(ratio, lasting.explains), outside, seen, brief, acts)
 
     def _lasting(
-        self, spread: Spread, means: Sequence[tuple[Array, Array]], d: Array, beside: Array, g: Array, second: Array
+        self, spread: Spread, means: Sequence[tuple[Array, Array]], by_cause: Array, then: Array, g: Array, second: Array
     ) -> Lasting:
-        """What the means of a window, and of its last rows, show of a lasting fault with the derivatives `beside` (..., N).
+        """What the means of a window, and of its last rows, show of a lasting fault.
 
-        second (...): whether another cause acts; that with the derivatives d (..., N, M) which explains most of what is left.
+        by_cause (..., N, 1 + M): derivatives by that fault, and by all causes. then (..., M): J of the causes beside it. second
+        (...): whether another one acts, that which explains most.
         """
-        both = np.concatenate([beside[..., None], d], axis=-1)
-        (_, alone, size, power), *late = (explained(spread, *mean, both, g) for mean in means)
-        _, then, _, _ = explained(spread, *means[0], d, g, beside)
+        (_, alone, size, power), *late = (explained(spread, *mean, by_cause, g) for mean in means)
         own, best = alone[..., 0], np.argmax(then, axis=-1)[..., None]
         left = own + np.where(second, np.take_along_axis(then - alone[..., 1:], best, axis=-1)[..., 0], 0.0)
         shows = (left > self._named_above) & (own > 0)
