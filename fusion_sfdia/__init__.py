@@ -4,12 +4,11 @@ The public names are listed in __init__.pyi; more stand in `plants`, `detectors`
 `learning` and `metrics`. Each is imported at its first use, so that importing the package is fast.
 """
 
-from functools import reduce
 from importlib import import_module
 from typing import Any
 
 from fusion_sfdia.common.errors import warn_renamed
-from fusion_sfdia.common.public_names import public_names
+from fusion_sfdia.common.public_names import now_called, public_names
 
 __version__ = "0.1.0"
 
@@ -21,6 +20,7 @@ _RENAMED = {  # former names, until the next release
     "Audit": "metrics.AuditResult",
     "Whiteness": "learning.WhitenessTest",
     "Identifiability": "plants.IdentifiabilityResult",
+    "commission": "learning.Commissioning.of(...).plant",
     "commissioned": "learning.Commissioning.of",
     "choose_model": "learning.ModelChoice.of",
     "calibrate": "learning.Calibration.of",
@@ -35,8 +35,6 @@ def __getattr__(name: str) -> Any:
         return import_module(f"{__name__}.{name}")
     if name in _names or name.startswith("_"):
         return _public(name)
-    if name == "commission":
-        return import_module(f"{__name__}.learning").commission
     homes = (f"{group}.{name}" for group in _GROUPS if name in import_module(f"{__name__}.{group}").__all__)
     if (now := _RENAMED.get(name) or next(homes, "")) == "":
         return _public(name)  # which states the public names
@@ -46,7 +44,7 @@ def __getattr__(name: str) -> Any:
         return _public(group)
     home = import_module(f"{__name__}.{group}")
     known = new.partition(".")[0] in home.__all__
-    return reduce(getattr, new.split("."), home) if known else import_module(f"{__name__}.{now}")
+    return now_called(home, new) if known else import_module(f"{__name__}.{now}")
 
 
 def __dir__() -> list[str]:

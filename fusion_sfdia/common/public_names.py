@@ -19,7 +19,7 @@ def public_names(
 ) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
     """Return `__all__`, `__getattr__` and `__dir__` of the module `name` in `file`; AttributeError for any other name.
 
-    former: names that still work, with a warning, and what they are called now, such as "Class.method".
+    former: names that still work, with a warning, and what they are called now, see `now_called`.
     """
     tree = ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8"))
     modules = {alias.name: str(n.module) for n in tree.body if isinstance(n, ast.ImportFrom) for alias in n.names}
@@ -27,7 +27,7 @@ def public_names(
     def get(wanted: str) -> Any:
         if now := former.get(wanted):
             warn_renamed(f"{name}.{wanted}", f"{name}.{now}")
-            return reduce(getattr, now.split("."), sys.modules[name])
+            return now_called(sys.modules[name], now)
         if wanted not in modules:
             raise AttributeError(f"module {name!r} has no attribute {wanted!r}; public names: {', '.join(modules)}")
         value = getattr(import_module(modules[wanted]), wanted)
@@ -35,3 +35,10 @@ def public_names(
         return value
 
     return [*modules], get, lambda: sorted(modules)
+
+
+def now_called(home: Any, now: str) -> Any:
+    """What `now` names in a module: "Class.method", or "Class.method(...).part", a part of what that returns."""
+    made, _, part = now.partition("(...).")
+    found = reduce(getattr, made.split("."), home)
+    return (lambda *args, **settings: getattr(found(*args, **settings), part)) if part else found

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import probability
-from fusion_sfdia.common.errors import warn_renamed
 from fusion_sfdia.learning.commissioning.disturbances import WINDOW, FoundDisturbance, learnt, windows
 from fusion_sfdia.learning.commissioning.noise_likelihood import (
     Noise,
@@ -196,12 +195,6 @@ class Commissioning(NamedTuple):
             result, settle, before, _held_out(now, halves), kept, parameters, disturbances, noise, start,
             first_error(result, log), middle, (halfway[0], halfway[1]), (now[0], now[1]),
         )  # fmt: skip
-
-
-def commission(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Plant:
-    """The former name of `Commissioning.of(...).plant`."""
-    warn_renamed("fusion_sfdia.learning.commission(...)", "fusion_sfdia.learning.Commissioning.of(...).plant")
-    return Commissioning.of(plant, *healthy, false_alarm=false_alarm).plant
 
 
 def _with_sensors(plant: Plant, changed: Plant, now: list[FilterScore], log: Log) -> tuple[Plant, list[FilterScore]]:
