@@ -255,6 +255,14 @@ class UnnamedEvent(Event):
         """The event in words, with the times of a clock."""
         return f"process {self.when(clock)}: no single sensor and no single unknown of the model explains the readings"
 
+    def statement(self, when: str, words: Mapping[str, object]) -> str:
+        """What a technician is told."""
+        fit = "has not fitted" if self.open else "did not fit"
+        return (
+            f"The process {fit} the model {when}; no single sensor or cause explains the readings. Check how the plant is "
+            "being run, and its inputs."
+        )
+
 
 @dataclass(frozen=True)
 class OperationEvent(Event):
@@ -265,6 +273,13 @@ class OperationEvent(Event):
     def summary(self, clock: Clock) -> str:
         """The event in words, with the times of a clock."""
         return f"{self.hypothesis} {self.when(clock)}: what looks wrong may be right there"
+
+    def statement(self, when: str, words: Mapping[str, object]) -> str:
+        """What a technician is told."""
+        return (
+            f"Operation {when} {'has been' if self.open else 'was'} unlike any healthy log; readings that look wrong may be "
+            "right. Check whether it was intended; if so, learn from it."
+        )
 
 
 @dataclass(frozen=True)

@@ -149,17 +149,6 @@ def sentence(e: Event, words: Words, clock: Clock, *, ended: bool = True, after:
     if isinstance(e, ProcessEvent):
         w = words.get(e.hypothesis) or Wording("parameter", e.hypothesis)
         return _taken_back(w, words, when, after) if after else _process(e, w, when)
-    if isinstance(e, UnnamedEvent):
-        fit = "has not fitted" if e.open else "did not fit"
-        return (
-            f"The process {fit} the model {when}; no single sensor or cause explains the readings. Check how the plant is "
-            "being run, and its inputs."
-        )
-    if e.kind == "outside":
-        return (
-            f"Operation {when} {'has been' if e.open else 'was'} unlike any healthy log; readings that look wrong may be "
-            "right. Check whether it was intended; if so, learn from it."
-        )
     if e.kind != "sensor" or isinstance(e, OtherEvent):
         return f"{_first(e.summary(clock))}."
     now = _now(e, words, clock, ended, after)
@@ -173,9 +162,8 @@ def by_importance(events: Sequence[Event], passing: Sequence[Event] = ()) -> lis
     ended = set(map(id, passing))
 
     def key(e: Event) -> tuple[bool, int, bool, bool, float, float, float]:
-        size, known = (abs(e.sigmas), True) if math.isfinite(e.sigmas) else (0.0, False)
-        lasted = 0.0 if known else e.end - e.start
-        return (id(e) in ended, kind_of(e).rank, e.confidence < CERTAIN, not e.open, -size, -lasted, e.start)
+        size = abs(e.sigmas) if math.isfinite(e.sigmas) else 0.0
+        return (id(e) in ended, kind_of(e).rank, e.confidence < CERTAIN, not e.open, -size, e.start - e.end, e.start)
 
     return sorted(events, key=key)
 

@@ -91,9 +91,9 @@ def find_sources(
     of nothing and inputs without a column are accepted. With columns in the map, others than its own and the plant's are not
     used. What follows from another problem is no problem of its own: a column of a wrong unit is no missing sensor.
     """
-    if usual := usual_time(header, log_map):
-        log_map = replace(log_map, time=(usual,))
     long = bool(log_map.tag)
+    if not long and (usual := usual_time(header, log_map)):
+        log_map = replace(log_map, time=(usual,))
     if not long:
         with problems.collecting("columns"):
             require_unique(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors.detector import Decision, ProcessHypothesis, joined
 from fusion_sfdia.diagnosis.diagnose import Diagnosis
-from fusion_sfdia.diagnosis.events import Event, UndecidedEvent, listed, median, spans, with_unit
+from fusion_sfdia.diagnosis.events import Event, OperationEvent, UndecidedEvent, listed, median, spans, with_unit
 from fusion_sfdia.diagnosis.sentences import Wording
 from fusion_sfdia.learning.monitor.causes import MOVED, ONE_OF, OUTSIDE, PROCESS, RECORDER, Causes
 from fusion_sfdia.learning.monitor.channels import Channels, deviations
@@ -65,19 +65,18 @@ class GroupEvent(Event):
 
 
 @dataclass(frozen=True)
-class OutsideEvent(GroupEvent):
-    """From start to end (s) operation was as in no healthy log: a new one, or a fault of the process."""
+class OutsideEvent(OperationEvent):
+    """From start to end (s) operation was as in no healthy log: a new one, or a fault of the process.
 
-    kind: ClassVar[str] = "outside"
+    most: the channels that are furthest off.
+    """
+
+    most: tuple[str, ...] = ()
 
     def summary(self, clock: Clock) -> str:
         """The event in words, with the times of a clock."""
         by = f", most: {listed(self.most)}" if self.most else ""
         return f"outside what was learnt {self.when(clock)}{by}: an operation that no healthy log has, or a process fault"
-
-    def statement(self, when: str, words: Mapping[str, object]) -> str:
-        """As of any operation outside the healthy logs."""
-        return ""
 
 
 @dataclass(frozen=True)
