@@ -15,7 +15,8 @@ residuals are as before. In each row
 - what looks like the sensor named last with the other sign, or again but much smaller, is the filter on its way back;
 - a sensor that repeats a reading twice as often as it ever did when healthy is frozen.
 
-The numbers below were chosen on one simulated air-handling unit, but `BRIEF`, `AGAIN`, `RIGHT` and `BESIDE` on plants of our tests.
+The numbers below were chosen on one simulated air-handling unit, but `BRIEF`, `AGAIN`, `RIGHT` and `BESIDE` on plants of our
+tests.
 """
 
 from __future__ import annotations
