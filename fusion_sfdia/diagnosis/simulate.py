@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy  # whose signal is imported at its first use
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 from scipy.special import ndtr, ndtri
 
 from fusion_sfdia.common.arguments import floats
@@ -330,7 +330,7 @@ def sensor_noise(sensors: tuple[Sensor, ...], seeds: tuple[int, ...], steps: int
             q = np.exp(-dt / slow.time_constant)
             own = ndtri(np.stack([_unit(stream(s, f"slow noise of {sensors[i].name}"), (steps,)) for s in seeds], axis=1))
             own[1:] *= np.sqrt(1 - q**2)
-            wandering = lfilter([1.0], [1.0, -q], own, axis=0)
+            wandering = scipy.signal.lfilter([1.0], [1.0, -q], own, axis=0)
             uniform[..., i] = ndtr(np.sqrt(1 - slow.share) * ndtri(uniform[..., i]) + np.sqrt(slow.share) * wandering)
     sigma = np.array([np.inf if s.sigma is None else s.sigma for s in sensors])
     return _quantile(uniform, sigma, np.array([np.inf if s.bound is None else s.bound for s in sensors]))

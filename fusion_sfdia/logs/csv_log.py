@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from fusion_sfdia.plant.signals import Sensor, Signal
 Array = NDArray[Any]
 
 BLOCK = 10_000  # rows in memory as text
+HARMLESS = re.compile("[0-9A-Za-z][0-9A-Za-z_.:+ -]*|")  # most cells: times, names
 
 
 def write_log(path: str | Path, plant: Plant, t: Array, y: Array, u: Array | None = None) -> None:
@@ -84,6 +86,8 @@ def write_lines(path: Path, header: Sequence[str], count: int, lines: Callable[[
 
 def quoted(text: str) -> str:
     """A text as a cell, in which a spreadsheet and a terminal see nothing but text."""
+    if HARMLESS.fullmatch(text):
+        return text
     text = cell(plain(text))
     return f'"{text.replace(chr(34), 2 * chr(34))}"' if any(c in text for c in ',"\r\n') else text
 

@@ -8,8 +8,8 @@ from difflib import SequenceMatcher
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+import scipy  # whose optimize is imported at its first use
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from fusion_sfdia.logs.conversion import conversion
 from fusion_sfdia.logs.log_map import Column
@@ -69,7 +69,7 @@ def matched(tags: Sequence[Tagged], plant: Plant) -> list[Match]:
     targets += [Target(s.name, True, s.unit, float(u[i])) for i, s in enumerate(plant.inputs)]
     scored = [[_score(tag, target) for target in targets] for tag in tags]
     scores = np.array([[score for score, _ in row] for row in scored]).reshape(len(tags), len(targets))
-    chosen = dict(zip(*(k.tolist() for k in linear_sum_assignment(-scores)), strict=True))
+    chosen = dict(zip(*(k.tolist() for k in scipy.optimize.linear_sum_assignment(-scores)), strict=True))
     return [_match(tag, targets, scored[k], chosen.get(k)) for k, tag in enumerate(tags)]
 
 
