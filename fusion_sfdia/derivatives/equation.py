@@ -8,10 +8,14 @@ its operations allow, intervals; compiled code may call it too, and then it is c
 from __future__ import annotations
 
 import inspect
+import os
+import sys
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache
+from time import monotonic, sleep, thread_time
+from types import FunctionType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -20,9 +24,14 @@ from numba.core.caching import FunctionCache
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+if sys.platform != "win32":
+    import fcntl
+
 F = TypeVar("F", bound=Callable[..., Any])
 Array = NDArray[Any]
 
+AS_PYTHON = 0.3  # s: some loops take a little less to compile, some more
+LONGEST_WAIT = 20.0  # s, for what another process compiles, which takes a few
 LARGEST_CHANGE = 0.1  # of a deviation within a step
 COMPLEX_STEP = 1e-30  # no subtraction takes place, so any size free of underflow gives the derivative to rounding
 
@@ -69,14 +78,107 @@ def compiled(function: F) -> F:
 
 
 class _MachineCode(FunctionCache):  # type: ignore[misc]
-    """Machine code on disk; what refers to modules or classes that no longer exist is discarded and compiled again."""
+    """Machine code on disk; what refers to modules or classes that no longer exist is discarded and compiled again.
+
+    What one process compiles another waits for, where files can be locked.
+    """
+
+    held: int | None = None  # the lock of what is compiled here at present
+
+    @property
+    def has_code(self) -> bool:
+        """Whether the file of the function, as it is now, has been compiled for any arguments."""
+        return bool(self._cache_file._load_index())
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
+        if (found := self._loaded(sig, target_context)) is None and self.held is None:
+            with suppress(OSError):
+                self._impl.locator.ensure_cache_path()
+                self.held = _locked(self._lock)
+            if (found := self._loaded(sig, target_context)) is not None:
+                self._release()
+        return found
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        super().save_overload(sig, data)
+        self._release()
+
+    def _loaded(self, sig: Any, target_context: Any) -> Any:
         try:
             return super().load_overload(sig, target_context)
         except (ImportError, AttributeError):
             self.flush()  # otherwise saving would read the same index again
             return None
+
+    @property
+    def _lock(self) -> str:
+        return f"{self._cache_file._index_path}.lock"
+
+    def _release(self) -> None:
+        if self.held is not None:
+            with suppress(OSError):
+                os.unlink(self._lock)
+            os.close(self.held)
+            self.held = None
+
+
+def _locked(path: str) -> int | None:
+    """The file, held until it is closed or the process ends; None where files have no locks, or another holds it too long."""
+    if sys.platform == "win32":
+        return None
+    handle, latest = os.open(path, os.O_RDWR | os.O_CREAT), monotonic() + LONGEST_WAIT
+    while monotonic() < latest:
+        with suppress(BlockingIOError):
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return handle
+        sleep(0.01)
+    os.close(handle)
+    return None
+
+
+def python_first(function: F) -> F:
+    """Compile a short loop once it has run as Python for as long as its compilation takes, or is on disk: with the same bits.
+
+    For loops over readings in double precision, of single operations, square roots and functions of `math`: those of NumPy
+    may round otherwise than compiled ones. Most are then never compiled for a log of a few hundred rows.
+    """
+    found: Any = compiled(function)
+    found._compile_for_args = AsPython(found)
+    return found  # type: ignore[no-any-return]
+
+
+class AsPython:
+    """What a dispatcher asks for code of arguments that are new to it: the function itself, for a while."""
+
+    patient = True  # False: everything is compiled at once
+
+    def __init__(self, dispatcher: Any) -> None:
+        self.dispatcher, self.left, self.look = dispatcher, AS_PYTHON, AS_PYTHON
+        self.function: Callable[..., Any] | None = None  # of Python alone, where it is needed
+
+    def __call__(self, *args: Any) -> Any:
+        if self.left <= self.look and self.dispatcher.stats.cache_path and self.dispatcher._cache.has_code:
+            self.left = 0.0  # another process has compiled it, now or before
+        if self.left <= 0 or not self.patient:
+            return type(self.dispatcher)._compile_for_args(self.dispatcher, *args)
+        self.look = min(self.look, self.left) - AS_PYTHON / 8
+        return self.run
+
+    def run(self, *args: Any) -> Any:
+        self.function = self.function or _of_python(self.dispatcher)
+        start = thread_time()
+        with np.errstate(all="ignore"):
+            found = self.function(*args)
+        self.left -= thread_time() - start
+        return found
+
+
+def _of_python(dispatcher: Any) -> Callable[..., Any]:
+    """The function without what numba makes of it, and of those that it calls."""
+    function = dispatcher.py_func
+    known = function.__globals__
+    called = {n: _of_python(known[n]) for n in function.__code__.co_names if hasattr(known.get(n), "py_func")}
+    return FunctionType(function.__code__, {**known, **called})
 
 
 def part(function: F) -> F:

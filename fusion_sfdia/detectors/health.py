@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from math import isfinite
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.alike import single
-from fusion_sfdia.derivatives.equation import compiled, plain
+from fusion_sfdia.derivatives.equation import plain, python_first
 from fusion_sfdia.detectors.detector import Decision
 from fusion_sfdia.detectors.state import mapped
 
@@ -23,7 +24,7 @@ def broken(x: Array, p: Array) -> Array:
     return found.reshape(x.shape[:-1])
 
 
-@compiled
+@python_first
 def _broken(x: Array, p: Array) -> Array:
     """The same of estimates (B, n); p (B, n, n) or (1, n, n)."""
     found, lost = np.empty(x.shape[0], np.bool_), np.empty(p.shape[0], np.bool_)
@@ -32,11 +33,11 @@ def _broken(x: Array, p: Array) -> Array:
         for i in range(p.shape[1]):
             lost[k] |= not p[k, i, i] >= 0
             for j in range(p.shape[2]):
-                lost[k] |= not np.isfinite(p[k, i, j])
+                lost[k] |= not isfinite(p[k, i, j])
     for r in range(x.shape[0]):
         found[r] = lost[r % p.shape[0]]
         for i in range(x.shape[1]):
-            found[r] |= not np.isfinite(x[r, i])
+            found[r] |= not isfinite(x[r, i])
     return found
 
 

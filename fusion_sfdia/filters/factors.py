@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.derivatives.equation import compiled, part
+from fusion_sfdia.derivatives.equation import compiled, part, python_first
 
 Array = NDArray[Any]
 
@@ -45,7 +45,7 @@ def half_inverses(A: Array, used: Array) -> None:
                     of[i, j] = 0.0
 
 
-@compiled
+@python_first
 def inverted(S: Array, d: Array, used: Array) -> tuple[Array, Array, Array, Array, Array]:
     """Statistics of innovations d (B, N) with covariance S (B, N, N), over the readings `used` (B, N): see `leave_one_out`.
 
@@ -80,7 +80,7 @@ def inverted(S: Array, d: Array, used: Array) -> tuple[Array, Array, Array, Arra
     return half, inverse, scores, whitened, weight
 
 
-@compiled
+@python_first
 def squares_of_rows(U: Array) -> Array:
     """The sums of squares (B, n) of the rows of U (B, n, m): diag(U U'). BLAS's depend on where a row begins in memory."""
     B, n, m = U.shape

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.derivatives.equation import compiled, plain
+from fusion_sfdia.derivatives.equation import plain, python_first
 
 Array = NDArray[Any]
 
@@ -33,7 +33,7 @@ def congruence(A: Array, P: Array, D: Array) -> tuple[Array, Array]:
     return both if D.ndim == 1 else both + D, right
 
 
-@compiled
+@python_first
 def _congruence(A: Array, P: Array, D: Array) -> tuple[Array, Array]:
     """The same of A (B, m, n) or (1, m, n), P (B, n, n) and D (m,)."""
     B, n = P.shape[:2]

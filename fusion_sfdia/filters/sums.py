@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.derivatives.equation import compiled, plain
+from fusion_sfdia.derivatives.equation import compiled, plain, python_first
 
 Array = NDArray[Any]
 
@@ -42,7 +42,7 @@ def difference(P: Array, less: Array, floor: float) -> Array:
     return total.reshape(shape)
 
 
-@compiled
+@python_first
 def _difference(P: Array, less: Array, floor: float) -> None:
     """The same of P (B, n, n) or (1, n, n) and `less` (B, n, n), in place."""
     for k in range(less.shape[0]):

@@ -151,24 +151,24 @@ class Integrated:
 
     def _advanced(self, t: float, x: Array, u: Array, dt: float, theta: Array, width: int) -> tuple[Array, Array] | None:
         """The step by the program and its derivatives (..., n, width); None without one."""
-        if (program := self.program) is None or not all(map(_real, (x, u, theta))):
-            return None
-        batch, x, u, theta = _as_rows(x, u, theta)
-        decay, nominal = self._constants
-        ahead, tangent, settled = straight_line_kernels.advance(
-            self._number(t), x, u, theta, float(dt), self.substeps, decay, nominal, width, program
-        )
-        return _of_shape(batch, ahead, tangent) if settled else None
+        return self._found(t, (x, u, theta), (float(dt), self.substeps, np.arange(x.shape[-1])), width)
 
     def _read(self, t: float, x: Array, u: Array, theta: Array, width: int) -> tuple[Array, Array] | None:
         """The same of the readings (..., N)."""
-        if (program := self.program) is None or not all(map(_real, (x, u, theta))):
+        return self._found(t, (x, u, theta), (0.0, 0, self.picks), width)
+
+    def _found(
+        self, t: float, values: tuple[Array, Array, Array], step: tuple[float, int, Array], width: int
+    ) -> tuple[Array, Array] | None:
+        """The variables that a step over some time, in substeps, ends with, by their places; None without a program."""
+        if (program := self.program) is None or not all(map(_real, values)):
             return None
-        batch, x, u, theta = _as_rows(x, u, theta)
-        y, by, settled = straight_line_kernels.read(
-            self._number(t), x, u, theta, self.picks, self._constants[1], width, program
+        batch, x, u, theta = _as_rows(*values)
+        dt, substeps, picks = step
+        found, by, settled = straight_line_kernels.advance(
+            self._number(t), x, u, theta, dt, substeps, *self._constants, program, picks, width
         )
-        return _of_shape(batch, y, by) if settled else None
+        return _of_shape(batch, found, by) if settled else None
 
     @cached_property
     def _timeless(self) -> bool:

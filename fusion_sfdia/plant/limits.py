@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.derivatives.equation import compiled, plain
+from fusion_sfdia.derivatives.equation import compiled, plain, python_first
 
 Array = NDArray[Any]
 
@@ -24,7 +25,7 @@ def finite(x: Array) -> Array:
     return found.reshape(x.shape[:-1])
 
 
-@compiled
+@python_first
 def _within(x: Array, low: Array, high: Array) -> tuple[Array, Array]:
     inside, moved = np.empty(x.shape), np.empty(x.shape[0], np.bool_)
     for r in range(x.shape[0]):
@@ -46,5 +47,5 @@ def _finite(x: Array) -> Array:
     for r in range(x.shape[0]):
         found[r] = True
         for i in range(x.shape[1]):
-            found[r] &= np.isfinite(x[r, i])
+            found[r] &= isfinite(x[r, i])
     return found

@@ -54,7 +54,7 @@ class SlowNoise:
 
 def inflation(n: Any, q: Any) -> Any:
     """c(n, q) of sums over n samples, of numbers or arrays; n may be inf."""
-    return (1 + q) / (1 - q) - 2 * q * (1 - q**n) / (n * (1 - q) ** 2)
+    return (1 + q) / (1 - q) - 2 * q * (1 - q**n) / (n * ((1 - q) * (1 - q)))
 
 
 def inflation_of(n: Any, share: Any, q: Any) -> Any:

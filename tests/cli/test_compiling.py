@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -60,15 +61,7 @@ def test_a_second_process_compiles_the_detector_where_both_have_a_cache_and_a_co
     detector: str | None, folder: str | None, cores: int, started: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls: list[Any] = []
-
-    class Process:
-        def __init__(self, **arguments: Any) -> None:
-            calls.append(arguments)
-
-        def __getattr__(self, name: str) -> Any:
-            return lambda: calls.append(name)
-
-    monkeypatch.setattr(compiling, "get_context", lambda method: SimpleNamespace(Process=Process))
+    monkeypatch.setattr(compiling, "start", calls.append)
     monkeypatch.setattr(compiling, "cores", lambda: cores)
     monkeypatch.setattr(compiling, "nothing_compiled", lambda: False)
     compiled = SimpleNamespace(py_func=compile_detector, stats=SimpleNamespace(cache_path=folder))
@@ -76,31 +69,41 @@ def test_a_second_process_compiles_the_detector_where_both_have_a_cache_and_a_co
         for _ in range(2):
             with event.trigger_event("numba:compile", data={"dispatcher": compiled}):
                 pass
-    assert calls == [{"target": compile_detector, "args": ("a",), "daemon": True}, "start", "terminate", "join"][: 4 * started]
+    assert calls == ["a"] * started
 
 
 def test_where_nothing_is_compiled_yet_the_second_process_begins_at_once(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     begun: list[str] = []
-    process = SimpleNamespace(terminate=lambda: begun.append("terminate"), join=lambda: begun.append("join"))
-    monkeypatch.setattr(compiling, "started", lambda detector: begun.append(detector) or process)
+    monkeypatch.setattr(compiling, "start", begun.append)
     monkeypatch.setattr(compiling, "cores", lambda: 2)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kept"))
     with announced("a"):
         assert begun == ["a"]
-    assert begun == ["a", "terminate", "join"]
     (tmp_path / "kept" / "module").mkdir(parents=True)
     (tmp_path / "kept" / "module" / "one.nbi").touch()
     with announced("a"), announced():
         pass
-    assert begun == ["a", "terminate", "join"]
+    assert begun == ["a"]
+
+
+def test_the_second_process_is_told_the_detector_and_sees_no_modules_of_the_present_folder(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    calls: list[Any] = []
+    monkeypatch.setattr(subprocess, "Popen", lambda arguments, **options: calls.append((arguments, options)))
+    compiling.start("it's")
+    (program, safe, _, code), options = calls[0]
+    assert (program, safe) == (sys.executable, "-P") and 'compile_detector("it\'s")' in code
+    assert options["start_new_session"] and "" not in options["env"]["PYTHONPATH"].split(os.pathsep)
 
 
 def test_what_is_postponed_runs_as_python_and_is_listed_once_in_the_order_of_the_calls() -> None:
     one, two = numba.njit(lambda x: x + 1), numba.njit(lambda x: x + 2)
     with postponed() as wanted:
         assert (two(1), one(1), two(3), two(1.0)) == (3, 2, 5, 3.0)
+        assert all(0 <= seconds < 1 for seconds in wanted.values())
         assert not one.signatures and not two.signatures
     assert list(wanted) == [(two, (numba.int64,)), (one, (numba.int64,)), (two, (numba.float64,))]
     for function, signature in reversed(wanted):

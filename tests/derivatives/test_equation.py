@@ -1,18 +1,31 @@
 """Equations and their derivatives: the complex step and differences against analytic Jacobians."""
 
+import gc
+import os
+from collections.abc import Callable
+from itertools import count
+from pathlib import Path
+from threading import Timer
+from typing import Any
+
 import numpy as np
 import pytest
 from numba import njit
 from numba.core.caching import FunctionCache
 
+from fusion_sfdia.derivatives import equation as module
 from fusion_sfdia.derivatives.equation import (
+    AsPython,
     argument_names,
     batch_rows,
     compiled,
     complex_step_jacobian,
     difference_jacobian,
     equation,
+    python_first,
 )
+from fusion_sfdia.detectors import registry
+from fusion_sfdia.diagnosis.simulate import simulate
 
 EPS = np.finfo(float).eps
 
@@ -112,3 +125,99 @@ def _summed(a: np.ndarray) -> float:
     for k in range(a.size):
         total += a[k]
     return total
+
+
+def test_a_loop_runs_as_python_first_and_is_compiled_once_it_has_taken_its_time(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path))
+    clock = count(0.0, module.AS_PYTHON * 0.6)  # of which each call takes that share
+    monkeypatch.setattr(module, "thread_time", lambda: next(clock))
+    loop: Any = python_first(_ratio)
+    zero = np.zeros(2)
+    for _ in range(2):
+        assert np.isnan(loop(zero)) and not loop.signatures  # as compiled: no ZeroDivisionError, no warning
+    assert np.isnan(loop(zero)) and len(loop.signatures) == 1
+    again: Any = python_first(_ratio)
+    assert np.isnan(again(zero)) and len(again.signatures) == 1  # it is on disk
+
+
+def _ratio(a: np.ndarray) -> Any:
+    return a[1] / a[0]
+
+
+def test_what_one_process_compiles_another_waits_for(tmp_path: Path) -> None:
+    path = str(tmp_path / "one.nbi.lock")
+    first = module._locked(path)
+    assert first is not None
+    timer = Timer(0.05, os.close, (first,))
+    timer.start()
+    second = module._locked(path)
+    timer.join()
+    assert second is not None
+    os.close(second)
+
+
+def test_a_lock_that_is_held_for_too_long_is_no_reason_to_wait_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(module, "LONGEST_WAIT", 0.02)
+    first = module._locked(str(tmp_path / "lock"))
+    assert first is not None and module._locked(str(tmp_path / "lock")) is None
+    os.close(first)
+
+
+@pytest.mark.parametrize("name", ["two-tanks", "gas-pipeline"])
+def test_loops_have_the_same_bits_as_python_and_compiled(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    loops = {one.dispatcher: one for one in gc.get_objects() if type(one) is AsPython}
+    compared: dict[str, int] = {}
+
+    def both_ways(loop: AsPython, *arguments: Any) -> Callable[..., Any]:
+        run = loop.dispatcher.overloads[types(loop, arguments)].entry_point
+
+        def both(*given: Any) -> Any:
+            mine = [a.copy() if isinstance(a, np.ndarray) and a.flags.writeable else a for a in given]
+            expected, found = run(*given), loop.run(*mine)
+            name = loop.dispatcher.py_func.__name__
+            for a, b in zip(arrays((expected, given)), arrays((found, mine)), strict=True):
+                assert a.dtype == b.dtype and np.array_equal(a, b, equal_nan=a.dtype.kind == "f"), name
+            compared[name] = compared.get(name, 0) + 1
+            return expected
+
+        return both
+
+    plant = registry.plant(name)
+    detector = registry.detector("robust-glr", plant)
+    log = simulate(plant, 40, seeds=[1], truth="model")
+    y, sigma = log.y[:, 0].copy(), np.array([s.sigma for s in plant.sensors])
+    y[20:, 0] += 10 * sigma[0]
+    y[10:13, 1], y[30, 2] = np.nan, y[30, 2] + 50 * sigma[2]
+    u = np.broadcast_to(log.u, (40, len(plant.inputs)))
+
+    def decided() -> None:
+        state = detector.init((), 0.0)
+        for k in range(40):
+            state, _ = detector.step(state, float(log.t[k]), y[k], u[k])
+
+    monkeypatch.setattr(AsPython, "patient", False)
+    decided()
+    monkeypatch.setattr(AsPython, "__call__", both_ways)
+    for dispatcher in loops:
+        dispatcher._clear()
+    try:
+        decided()
+    finally:
+        for dispatcher in loops:
+            for result in list(dispatcher.overloads.values()):
+                dispatcher.add_overload(result)
+    assert len(compared) > 9 and max(compared.values()) >= 40
+
+
+def types(loop: AsPython, arguments: tuple[Any, ...]) -> tuple[Any, ...]:
+    return tuple(loop.dispatcher.typeof_pyval(a) for a in arguments)
+
+
+def arrays(values: Any) -> Any:
+    """What is in nested tuples and lists, as arrays, in order."""
+    if isinstance(values, tuple | list):
+        return [a for value in values for a in arrays(value)]
+    return [] if values is None else [np.asarray(values)]

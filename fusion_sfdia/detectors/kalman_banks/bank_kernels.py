@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.derivatives.equation import compiled
+from fusion_sfdia.derivatives.equation import python_first
 
 Array = NDArray[Any]
 
@@ -26,7 +26,7 @@ def of_runs(a: Array, axes: int) -> Array:
     return contiguous(a if a.ndim > axes else a[None])
 
 
-@compiled
+@python_first
 def conditioned(
     x: Array, whitened: Array, C: Array, half: Array, inverse: Array, P: Array, floor: float
 ) -> tuple[Array, Array, Array]:
@@ -65,7 +65,7 @@ def conditioned(
     return after, p, gain
 
 
-@compiled
+@python_first
 def mean_square(y: Array, expected: Array, whitened: Array, used: Array) -> Array:
     """D' S^-1 d (B,) over the number of readings used (B, N), of d = y - expected and whitened S^-1 d (B, N)."""
     found = np.empty(y.shape[0])
@@ -79,7 +79,7 @@ def mean_square(y: Array, expected: Array, whitened: Array, used: Array) -> Arra
     return found
 
 
-@compiled
+@python_first
 def mean_of_others(chi_square: Array, used: Array) -> Array:
     """The mean of the chi-squares (B, N), 0 where not `used` (B, N), without the largest (B,); 1 of fewer than two."""
     found = np.empty(used.shape[0])

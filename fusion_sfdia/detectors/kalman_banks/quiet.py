@@ -12,13 +12,14 @@ have changed by that more than its readings have.
 from __future__ import annotations
 
 from functools import lru_cache
+from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
-from fusion_sfdia.derivatives.equation import compiled, plain
+from fusion_sfdia.derivatives.equation import plain, python_first
 
 Array = NDArray[Any]
 
@@ -63,7 +64,7 @@ def paired(now: Pairs, y: Array, sigma: Array, resolution: Array, false_alarm: f
     return Pairs(*(v.reshape(known.shape) for v, known in zip(found, now, strict=True)))
 
 
-@compiled
+@python_first
 def _paired(
     first: Array,
     squares: Array,
@@ -83,14 +84,14 @@ def _paired(
             after[r, i] = y[r, i]
             change = abs(y[r, i] - first[r, i]) + resolution[i]
             square = change * change / (2 * (sigma[i] * sigma[i]))
-            if np.isfinite(square):
+            if isfinite(square):
                 after[r, i] = np.nan
                 last = squares.shape[1] - 1
                 total = 0.0
                 for k in range(last + 1):
                     total += squares[r, k, i]
-                number[r, i] += np.isfinite(squares[r, last, i])
-                if np.isfinite(total):
+                number[r, i] += isfinite(squares[r, last, i])
+                if isfinite(total):
                     part = 1.0 / min(number[r, i] + 1.0, MEMORY)
                     if number[r, i] >= SHOWN and total < limit * mean[r, i]:
                         part *= SLOWER

@@ -23,6 +23,7 @@ of the process without M: all sensors together show it.
 from __future__ import annotations
 
 from dataclasses import replace
+from math import exp, isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,7 +31,7 @@ from numpy.typing import NDArray
 from scipy.special import gammainc
 
 from fusion_sfdia.common.alike import single
-from fusion_sfdia.derivatives.equation import compiled, part
+from fusion_sfdia.derivatives.equation import compiled, part, python_first
 from fusion_sfdia.detectors.kalman_banks.bank_kernels import contiguous
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import LeaveOneOut
 from fusion_sfdia.detectors.kalman_banks.likelihood_window import Inflation
@@ -112,7 +113,7 @@ def larger_from(sensors: int) -> float:
 @part
 def unseen(size: float, larger: float) -> float:
     """Variance of e, from ln kappa: that part of the noise which the filter does not take into account."""
-    return float(np.exp(min(size, larger)))
+    return exp(min(size, larger))
 
 
 @part
@@ -131,11 +132,24 @@ def common_correlation(own: Array, every: float) -> float:
 
 
 @compiled
+def median(values: Array, room: Array) -> float:
+    """The median of values (N,), by insertion into room (N,); np.median takes longer to compile than all that is here."""
+    N = values.size
+    for i in range(N):
+        value, place = values[i], i
+        while place > 0 and room[place - 1] > value:
+            room[place] = room[place - 1]
+            place -= 1
+        room[place] = value
+    return float(room[(N - 1) // 2] + room[N // 2]) / 2
+
+
+@python_first
 def _learnt(larger: float, u: Array, w: Array, used: Array, where: Array, now: ReadingNoise) -> None:
     """The same of B runs, written into what is known. larger: see `larger_from`."""
     size, common, spread, last, own, every, samples, level, off, later = now
     B, N = u.shape
-    side = np.empty(N)
+    side, squares, room = np.empty(N), np.empty(N), np.empty(N)
     for r in range(B):
         if where[r]:
             moves = max(STEP, 1 / (FIRST + samples[r] - WEIGHT))
@@ -148,14 +162,16 @@ def _learnt(larger: float, u: Array, w: Array, used: Array, where: Array, now: R
                     side[i] = 1.0 if e * e > MEDIAN * kappa else -1.0
                     total += side[i]
                     number += 1
-                    if np.isfinite(last[r, i]):
-                        difference = min((e - last[r, i]) ** 2 / (2 * kappa), CUT)
+                    if isfinite(last[r, i]):
+                        change = e - last[r, i]
+                        difference = min(change * change / (2 * kappa), CUT)
                         own[r, i] += (difference - own[r, i]) / min(samples[r], OWN)
                         mean += difference
                         differences += 1
                     last[r, i] = e
                     cut = CLIP * np.sqrt(kappa)
                     level[r, i] += (min(max(e, -cut), cut) - level[r, i]) / min(samples[r] - WEIGHT, LEVEL)
+                squares[i] = level[r, i] * level[r, i]
             before = common[r]
             common[r] = min(max(common[r] + TOGETHER * total / max(number, 1), -MOST), MOST)
             if differences:
@@ -167,8 +183,8 @@ def _learnt(larger: float, u: Array, w: Array, used: Array, where: Array, now: R
             if seen <= BLOCK or seen % BLOCK == 0:
                 q = common_correlation(own[r], every[r])
                 n = min(seen, 2 * LEVEL - 1)  # a running mean of white noise varies by 1 / (2 LEVEL - 1) in the end
-                chance = (1 + CHANCE_LEVEL / np.sqrt(N)) * np.median(spread[r]) * inflation(n, q) / n
-                found = max(np.median(level[r] ** 2) / MEDIAN - chance, 0.0)
+                chance = (1 + CHANCE_LEVEL / np.sqrt(N)) * median(spread[r], room) * inflation(n, q) / n
+                found = max(median(squares, room) / MEDIAN - chance, 0.0)
                 off[r] = found if seen <= BLOCK else later[r]
                 later[r] = found
 
@@ -189,18 +205,21 @@ def inflation_of(now: ReadingNoise, age: Array, stated: Array) -> Inflation:
     return Inflation(*_inflation(age, own, every, spread, off, stated))
 
 
-@compiled
+@python_first
 def _inflation(age: Array, own: Array, every: Array, spread: Array, off: Array, stated: Array) -> tuple[Array, Array]:
     """The same of B runs: common (B, L), own (B, L, N)."""
     (B, L), N = age.shape, own.shape[1]
-    common, each = np.empty((B, L)), np.empty((B, L, N))
+    common, each, room = np.empty((B, L)), np.empty((B, L, N)), np.empty(N)
     for r in range(B):
         together = common_correlation(own[r], every[r])
-        usual = np.median(spread[r])
+        usual = median(spread[r], room)
         for l in range(L):  # noqa: E741
             n = max(age[r, l], 1.0)
             least = stated[min(int(n), len(stated) - 1)]
-            shared = max(inflation(n, together), np.mean(least))
+            total = 0.0
+            for i in range(N):
+                total += least[i]
+            shared = max(inflation(n, together), total / N)
             common[r, l] = shared * usual
             for i in range(N):
                 q = correlation(own[r, i])
@@ -241,7 +260,7 @@ def unclipped(now: Clipped, found: LeaveOneOut, where: Array) -> Clipped:
     return Clipped(replace(now.found, whitened=whitened, scores=scores), np.where(chosen, 0.0, now.less))
 
 
-@compiled
+@python_first
 def _clipped(u: Array, w: Array, half: Array, scores: Array, limit: Array, inverted: bool) -> tuple[Array, Array]:
     """Whitened u and scores U' d (B, N) of readings that are clipped; half U (B or 1, N, N), or S^-1 where `inverted`, limit
     (B, N) of |e|.

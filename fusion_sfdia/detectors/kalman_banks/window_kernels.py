@@ -5,19 +5,20 @@ Arrays have one batch axis first, of B runs, or of 1 where they are the same for
 
 from __future__ import annotations
 
+from math import log1p
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.derivatives.equation import compiled, part
+from fusion_sfdia.derivatives.equation import compiled, part, python_first
 
 Array = NDArray[Any]
 
 SPARSE = 1 / 8  # share of entries up to which a product by those that are not 0 takes less time
 
 
-@compiled
+@python_first
 def shift(a: Array, b: Array, age: Array, places: Array) -> tuple[Array, Array, Array]:
     """Sums a (B, L, q), b (B or 1, L, q) and age (B, L) with the onset of each slot taken from the slot `places` (L,).
 
@@ -209,7 +210,7 @@ def weighed(old: Array, eta: Array, a: Array, b: Array, onsets: Onsets, step: St
                         b[run, l, j] += squares[j]
 
 
-@compiled
+@python_first
 def residual_and_threshold(
     whitened: Array, weight: Array, used: Array, statistic: Array, size: Array, information: Array, one: float, window: float
 ) -> tuple[Array, Array]:
@@ -225,7 +226,7 @@ def residual_and_threshold(
     return residual, threshold
 
 
-@compiled
+@python_first
 def merged(
     recent: tuple[Array, ...],
     slow: tuple[Array, ...],
@@ -254,7 +255,7 @@ def merged(
     return found, far, level
 
 
-@compiled
+@python_first
 def best(
     a: Array, b: Array, usable: Array, size: Array, common: Array, own: Array, first: int, least: float
 ) -> tuple[Array, Array, Array, Array, Array]:
@@ -286,7 +287,7 @@ def best(
                 s, scale = size[r % size.shape[0], l % size.shape[1], j], common[r % common.shape[0], l % common.shape[1]]
                 slot[r, j], found[r, j], expected = l, a[r, l, j] / b[r, l, j], b[r, l, j] / scale * (s * s)
                 value = found[r, j] * found[r, j] * (b[r, l, j] / scale)
-                evidence[r, j] = value * (expected / (1.0 + expected)) - np.log1p(expected)
+                evidence[r, j] = value * (expected / (1.0 + expected)) - log1p(expected)
                 if j < own.shape[2]:
                     scale = own[r, l, j]
                 information[r, j] = b[r, l, j] / scale
