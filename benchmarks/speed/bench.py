@@ -31,6 +31,7 @@ from fusion_sfdia.benchmarks.speed import (
     workers,
 )  # fmt: skip
 from fusion_sfdia.common.files import locked
+from fusion_sfdia.derivatives.equation import AsPython
 from fusion_sfdia.report.results import Row, write_rows
 
 SECONDS = 2.0  # of each call
@@ -66,6 +67,7 @@ def run(parts: Sequence[str], out: Path | None = None, seconds: float = SECONDS,
     if unknown:
         raise ValueError(f"unknown part {', '.join(unknown)} of the benchmark; known: {', '.join(PARTS)}")
     chosen = parts or [part for part in PARTS if part not in ON_REQUEST]
+    AsPython.patient = False
     with nullcontext() if out is None else locked(out, force=force):
         with threadpool_limits(1):
             rows = [row for part in chosen for row in PARTS[part].measure(seconds)]

@@ -21,6 +21,7 @@ from joblib.externals.loky.process_executor import BrokenProcessPool
 from scipy import linalg  # noqa: F401  # its linear algebra is limited to one thread too, once it is loaded
 from threadpoolctl import threadpool_limits
 
+from fusion_sfdia.derivatives.equation import AsPython
 from fusion_sfdia.study.experiments.parts import write_part
 from fusion_sfdia.study.experiments.scenario import Arrays, Task
 
@@ -67,6 +68,7 @@ def in_processes(function: Callable[[T], R], of: Sequence[T], workers: int) -> I
 
 
 def _followed(function: Callable[[T], R], of: T, parent: int) -> R:
+    AsPython.patient = False  # long work is compiled at once
     if os.getpid() != parent:
         _follow(parent)
     return function(of)
