@@ -31,7 +31,7 @@ def announced(detector: str | None = None) -> Iterator[None]:
     makes many objects, and keeps them.
     """
     begin = cache(lambda: start(detector) if detector and cores() > 1 else None)  # once
-    if nothing_compiled():
+    if detector and nothing_compiled():
         begin()
     from numba.core import event
 
@@ -76,9 +76,12 @@ def start(detector: str) -> None:
 
 
 def nothing_compiled() -> bool:
-    """Whether compiled code will be kept beside the modules, or in the folder set for it, and none is there yet."""
-    own, beside = os.environ.get("NUMBA_CACHE_DIR"), Path(__file__).parents[1] / "plant"  # every diagnosis compiles some of it
-    return bool(own or os.access(beside, os.W_OK)) and not any(Path(own or beside).glob("**/*.nbi"))
+    """Whether compiled code will be kept, and none is there yet."""
+    from fusion_sfdia.common.files import compiled_code_folder
+
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    kept = Path(named) if named else compiled_code_folder() or Path(__file__).parents[1] / "plant"  # always needed
+    return (not kept.exists() or os.access(kept, os.W_OK)) and not any(kept.glob("**/*.nbi"))
 
 
 def compile_detector(name: str) -> None:

@@ -155,6 +155,16 @@ def _hold(path: Path, *, surely: bool = False) -> int | None:
     return handle if held else None
 
 
+def compiled_code_folder() -> Path | None:
+    """Where an installed package keeps what it compiles, in the user's cache; None in a checkout: beside its modules."""
+    package = Path(__file__).parents[1]
+    if (package.parent / "pyproject.toml").exists():
+        return None
+    from platformdirs import user_cache_dir
+
+    return Path(user_cache_dir(package.name, appauthor=False), "compiled")
+
+
 def _sync(file: IO[Any]) -> None:
     """Have a file's content on the disk, so that a power cut after its renaming leaves the old file or the new one."""
     file.flush()

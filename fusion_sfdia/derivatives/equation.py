@@ -8,30 +8,25 @@ its operations allow, intervals; compiled code may call it too, and then it is c
 from __future__ import annotations
 
 import inspect
-import os
-import sys
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache
-from time import monotonic, sleep, thread_time
+from time import thread_time
 from types import FunctionType
 from typing import Any, TypeVar
 
 import numpy as np
 from numba import njit
-from numba.core.caching import FunctionCache
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-if sys.platform != "win32":
-    import fcntl
+from fusion_sfdia.derivatives.machine_code import MachineCode
 
 F = TypeVar("F", bound=Callable[..., Any])
 Array = NDArray[Any]
 
 AS_PYTHON = 0.3  # s: some loops take a little less to compile, some more
-LONGEST_WAIT = 20.0  # s, for what another process compiles, which takes a few
 LARGEST_CHANGE = 0.1  # of a deviation within a step
 COMPLEX_STEP = 1e-30  # no subtraction takes place, so any size free of underflow gives the derivative to rounding
 
@@ -67,73 +62,13 @@ def equation(function: F) -> F:
 def compiled(function: F) -> F:
     """Compile a loop over equations (a driver) and keep the machine code on disk.
 
-    The cache notices edits of the driver's own file only: equations stand in the same file as the driver that joins
-    them, and numbers that change without an edit (fitted coefficients, parameters) are arguments. The code is kept beside the
-    module; where that folder cannot be written to, in the user's cache, and where that cannot either, nowhere.
+    Numbers that change without an edit (fitted coefficients, parameters) are arguments. Where the code is kept: see
+    `machine_code`.
     """
     found = njit(error_model="numpy", no_cfunc_wrapper=True)(function)
     with suppress(RuntimeError):  # numba finds no folder
-        found._cache = _MachineCode(function)
+        found._cache = MachineCode(function)
     return found  # type: ignore[no-any-return]
-
-
-class _MachineCode(FunctionCache):  # type: ignore[misc]
-    """Machine code on disk; what refers to modules or classes that no longer exist is discarded and compiled again.
-
-    What one process compiles another waits for, where files can be locked.
-    """
-
-    held: int | None = None  # the lock of what is compiled here at present
-
-    @property
-    def has_code(self) -> bool:
-        """Whether the file of the function, as it is now, has been compiled for any arguments."""
-        return bool(self._cache_file._load_index())
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        if (found := self._loaded(sig, target_context)) is None and self.held is None:
-            with suppress(OSError):
-                self._impl.locator.ensure_cache_path()
-                self.held = _locked(self._lock)
-            if (found := self._loaded(sig, target_context)) is not None:
-                self._release()
-        return found
-
-    def save_overload(self, sig: Any, data: Any) -> None:
-        super().save_overload(sig, data)
-        self._release()
-
-    def _loaded(self, sig: Any, target_context: Any) -> Any:
-        try:
-            return super().load_overload(sig, target_context)
-        except (ImportError, AttributeError):
-            self.flush()  # otherwise saving would read the same index again
-            return None
-
-    @property
-    def _lock(self) -> str:
-        return f"{self._cache_file._index_path}.lock"
-
-    def _release(self) -> None:
-        if self.held is not None:
-            with suppress(OSError):
-                os.unlink(self._lock)
-            os.close(self.held)
-            self.held = None
-
-
-def _locked(path: str) -> int | None:
-    """The file, held until it is closed or the process ends; None where files have no locks, or another holds it too long."""
-    if sys.platform == "win32":
-        return None
-    handle, latest = os.open(path, os.O_RDWR | os.O_CREAT), monotonic() + LONGEST_WAIT
-    while monotonic() < latest:
-        with suppress(BlockingIOError):
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return handle
-        sleep(0.01)
-    os.close(handle)
-    return None
 
 
 def python_first(function: F) -> F:

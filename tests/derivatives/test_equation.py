@@ -1,24 +1,20 @@
 """Equations and their derivatives: the complex step and differences against analytic Jacobians."""
 
 import gc
-import os
 from collections.abc import Callable
 from itertools import count
 from pathlib import Path
-from threading import Timer
 from typing import Any
 
 import numpy as np
 import pytest
 from numba import njit
-from numba.core.caching import FunctionCache
 
 from fusion_sfdia.derivatives import equation as module
 from fusion_sfdia.derivatives.equation import (
     AsPython,
     argument_names,
     batch_rows,
-    compiled,
     complex_step_jacobian,
     difference_jacobian,
     equation,
@@ -95,11 +91,6 @@ def test_argument_names_are_the_row_of_the_structure() -> None:
     assert argument_names(discharge) == ("coefficient", "p_in", "p_out")
 
 
-def test_code_is_compiled_where_no_folder_can_be_written_to(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("numba.core.caching.CompileResultCacheImpl._locator_classes", [])
-    assert compiled(lambda x: x + 1.0)(1.0) == 2.0
-
-
 @pytest.mark.parametrize("kind", [float, complex])
 def test_rows_of_a_batch_are_of_one_type_and_the_given_array_stays_writable(kind: type) -> None:
     a = np.arange(24.0).reshape(2, 3, 4)
@@ -110,21 +101,6 @@ def test_rows_of_a_batch_are_of_one_type_and_the_given_array_stays_writable(kind
         assert rows.flags.c_contiguous and not rows.flags.writeable and given.flags.writeable
     matrices = batch_rows(a, (2,), kind, 2)
     assert np.array_equal(matrices, a) and not matrices.flags.writeable and a.flags.writeable
-
-
-def test_machine_code_of_modules_that_are_gone_is_compiled_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    def gone(*_: object) -> None:
-        raise ModuleNotFoundError("No module named 'fusion_sfdia.of_before'")
-
-    monkeypatch.setattr(FunctionCache, "load_overload", gone)
-    assert compiled(_summed)(np.arange(4.0)) == 6.0
-
-
-def _summed(a: np.ndarray) -> float:
-    total = 0.0
-    for k in range(a.size):
-        total += a[k]
-    return total
 
 
 def test_a_loop_runs_as_python_first_and_is_compiled_once_it_has_taken_its_time(
@@ -147,28 +123,8 @@ def _ratio(a: np.ndarray) -> Any:
     return a[1] / a[0]
 
 
-def test_what_one_process_compiles_another_waits_for(tmp_path: Path) -> None:
-    path = str(tmp_path / "one.nbi.lock")
-    first = module._locked(path)
-    assert first is not None
-    timer = Timer(0.05, os.close, (first,))
-    timer.start()
-    second = module._locked(path)
-    timer.join()
-    assert second is not None
-    os.close(second)
-
-
-def test_a_lock_that_is_held_for_too_long_is_no_reason_to_wait_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(module, "LONGEST_WAIT", 0.02)
-    first = module._locked(str(tmp_path / "lock"))
-    assert first is not None and module._locked(str(tmp_path / "lock")) is None
-    os.close(first)
-
-
 @pytest.mark.parametrize("name", ["two-tanks", "gas-pipeline"])
 def test_loops_have_the_same_bits_as_python_and_compiled(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    loops = {one.dispatcher: one for one in gc.get_objects() if type(one) is AsPython}
     compared: dict[str, int] = {}
 
     def both_ways(loop: AsPython, *arguments: Any) -> Callable[..., Any]:
@@ -187,6 +143,7 @@ def test_loops_have_the_same_bits_as_python_and_compiled(name: str, monkeypatch:
 
     plant = registry.plant(name)
     detector = registry.detector("robust-glr", plant)
+    loops = [one.dispatcher for one in gc.get_objects() if type(one) is AsPython]
     log = simulate(plant, 40, seeds=[1], truth="model")
     y, sigma = log.y[:, 0].copy(), np.array([s.sigma for s in plant.sensors])
     y[20:, 0] += 10 * sigma[0]

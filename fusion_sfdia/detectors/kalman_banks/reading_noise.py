@@ -57,7 +57,7 @@ SUPPOSED, WEIGHT = 0.8, 8.0  # correlation before any reading, and the samples t
 CHANCE = 0.2  # correlation of a sensor alone that counts: about two standard errors of OWN samples
 HIGHEST = 0.98  # correlation
 
-inflation = part(slow_noise.inflation)  # the cache of compiled loops does not notice an edit of that file
+inflation = part(slow_noise.inflation)
 
 
 class ReadingNoise(NamedTuple):
