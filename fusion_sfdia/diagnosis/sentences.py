@@ -26,6 +26,7 @@ from fusion_sfdia.diagnosis.fault_kinds import NORMAL
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.uncertainty import equation_of, error_of
 
+SIDED = ("bias", "drift")  # faults of which too high and too low are two findings
 LEAST = 0.05  # of a sensor's sigma: a smaller size is none
 
 
@@ -166,6 +167,14 @@ def by_importance(events: Sequence[Event], passing: Sequence[Event] = ()) -> lis
         return (id(e) in ended, kind_of(e).rank, e.confidence < CERTAIN, not e.open, -size, e.start - e.end, e.start)
 
     return sorted(events, key=key)
+
+
+def alike(events: Sequence[Event]) -> list[list[Event]]:
+    """Events that are the same but for their times and sizes together, in the order of the first of each."""
+    groups: dict[tuple[str, str, str, bool], list[Event]] = {}
+    for e in events:
+        groups.setdefault((e.kind, e.hypothesis, e.fault, e.fault in SIDED and e.size < 0), []).append(e)
+    return list(groups.values())
 
 
 def counted(events: Sequence[Event]) -> str:

@@ -21,7 +21,7 @@ from fusion_sfdia.common.files import atomic_write
 from fusion_sfdia.detectors.verdicts import Verdict
 from fusion_sfdia.diagnosis.diagnose import Diagnosis
 from fusion_sfdia.diagnosis.events import Event
-from fusion_sfdia.diagnosis.sentences import KINDS, Words, confidence_of, kind_of, others_of, size_of
+from fusion_sfdia.diagnosis.sentences import KINDS, Words, alike, confidence_of, kind_of, others_of, size_of
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.figure_files import figure_svg
 from fusion_sfdia.report.log_figures import LONGEST, near, overview, short, time_line
@@ -29,7 +29,6 @@ from fusion_sfdia.report.on_screen import on_screen
 from fusion_sfdia.report.page import inline, page_environment, part
 from fusion_sfdia.report.plots import panels
 
-SIDED = ("bias", "drift")  # faults of which too high and too low are two findings
 MOST_EVENTS = (200, 1000)  # of one finding, and of all together
 MOST_SENTENCES = 3  # of one finding; of one with more the first alone, and how many there are
 MOST_FIGURES = 32
@@ -107,14 +106,12 @@ def findings_of(
 
     open_first: those that still act before those that are over, of each the most important first.
     """
-    groups: dict[tuple[str, str, str, bool], list[Event]] = {}
-    for e in found.standing:
-        groups.setdefault((e.kind, e.hypothesis, e.fault, e.fault in SIDED and e.size < 0), []).append(e)
+    groups = alike(found.standing)
     least, most, all_of_them = POINTS
     points = min(most, max(least, all_of_them // max(len(groups), 1)))
     rows = min(MOST_EVENTS[0], max(1, MOST_EVENTS[1] // max(len(groups), 1)))
     findings = []
-    for k, own in enumerate(sorted(groups.values(), key=lambda own: open_first and not any(e.open for e in own))):
+    for k, own in enumerate(sorted(groups, key=lambda own: open_first and not any(e.open for e in own))):
         figure, title = None, _title(found, own)
         if k < figures:
             figure = _drawn(found, f"f{k}", title, partial(near, plant, y, found, own, points), _caption(found, own))

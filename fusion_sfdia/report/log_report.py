@@ -22,6 +22,7 @@ from fusion_sfdia.detectors.verdicts import Verdict
 from fusion_sfdia.diagnosis.diagnose import Diagnosis, present
 from fusion_sfdia.diagnosis.events import ProcessEvent, open_questions
 from fusion_sfdia.diagnosis.prepared import prepared
+from fusion_sfdia.diagnosis.sentences import alike
 from fusion_sfdia.logs.check import check_log
 from fusion_sfdia.logs.loaded_log import LoadedLog
 from fusion_sfdia.logs.log_map import LogMap
@@ -50,6 +51,7 @@ OF_BEFORE = (
     *(f"{n}{s}" for n in ("reconstructed", "scores") for s in SUFFIXES),
 )  # what a diagnosis in the same folder may have left
 MOST_PANELS = 6
+SHOWN = 3  # findings that are the same but for their times and sizes, as text
 UNNAMED = About("a log", "a detector")
 
 
@@ -112,9 +114,17 @@ def files(suffix: str) -> list[str]:
 def as_text(found: Diagnosis, detector: str) -> str:
     """The diagnosis for people: what was found in a few words, a sentence each, the most important first; then how it is to be
     taken, what limits the detector, and whether the model fits, unless a change of the process explains that it does not.
+    Of what happened more than `SHOWN` times, those alone and how often, and until when.
     """
     lines = [f"{len(found.t)} readings by {detector}: {found.headline}"]
-    lines += [f"  {found.sentence(e)}" for e in found.findings]
+    more = {id(own[SHOWN - 1]): own[SHOWN:] for own in alike(found.findings) if len(own) > SHOWN + 1}
+    left = {id(e) for own in more.values() for e in own}
+    for e in found.findings:
+        if id(e) not in left:
+            lines.append(f"  {found.sentence(e)}")
+        if own := more.get(id(e)):
+            first, last = found.clock.at(min(e.start for e in own)), found.clock.at(max(e.end for e in own))
+            lines.append(f"  The same happened {len(own)} times more between {first} and {last}: they are in events.csv.")
     lines += [line for line in (found.caution, *found.remarks) if line]
     lines += [found.health.line] if found.health and not found.is_explained_by_the_process else []
     return "\n".join(lines)

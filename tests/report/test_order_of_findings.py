@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from process_bank import ProcessBank
 from toy_plants import readings, tanks
 
@@ -63,3 +64,15 @@ def test_a_live_page_lists_what_acts_first_in_that_order_and_its_lamp_names_the_
     acting, over = page.parts()["findings"].split("<h3>Over</h3>")
     assert [kind for _, kind, _ in LISTED.findall(acting)] == ["sensor", "process", "undecided"]
     assert [(number, kind) for number, kind, _ in LISTED.findall(over)] == [("4", "sensor")]
+
+
+@pytest.mark.parametrize("times", [4, 5, 9])
+def test_what_happens_again_and_again_is_told_three_times_and_counted(times: int) -> None:
+    found = diagnose(BANK, T, OFF, U[:, 0])
+    one = next(e for e in found.events if e.kind == "sensor")
+    spikes = tuple(replace(one, fault="spikes", start=10.0 * k, end=10.0 * k + 5.0, open=False) for k in range(times))
+    found = replace(found, events=spikes)
+    told = [line.strip() for line in as_text(found, "bank").splitlines() if line.startswith("  ")]
+    sentences = [found.sentence(e) for e in found.findings]
+    more = f"The same happened {times - 3} times more between 30 s and {10 * times - 5} s: they are in events.csv."
+    assert told == (sentences if times == 4 else [*sentences[:3], more])
