@@ -45,7 +45,7 @@ class _InUserCache(_CacheLocator):  # type: ignore[misc]
 
     @classmethod
     def from_function(cls, function: Any, path: str) -> _InUserCache | None:
-        if (folder := compiled_code_folder()) is None:
+        if (folder := compiled_code_folder()) is None or not os.path.exists(path):
             return None
         found = cls(folder, function, path)
         try:
@@ -126,16 +126,24 @@ def called_text(function: Any) -> str:
         if one in seen:
             continue
         seen.add(one)
-        known.add(text_hash(inspect.getfile(one)))
+        known.add(text_of(one))
         for name in one.__code__.co_names:
             found = one.__globals__.get(name)
             found = getattr(found, "py_func", found)
             if isinstance(found, int | float | complex | str | tuple):
                 known.add(f"{name} = {found!r}")
             elif str(getattr(found, "__module__", None)).split(".")[0] == package:
-                known.add(text_hash(inspect.getfile(sys.modules[found.__module__])))
+                known.add(text_of(found))
                 waiting += [found] if inspect.isfunction(found) else []
     return sha256("\n".join(sorted(known)).encode()).hexdigest()
+
+
+def text_of(one: Any) -> str:
+    """A hash of the file in which a function or class stands; of one that was typed in, what no other process has."""
+    path = getattr(sys.modules.get(one.__module__), "__file__", None)
+    if path is None or not os.path.exists(path):
+        return repr(getattr(one, "__code__", one))
+    return text_hash(path)
 
 
 @cache
@@ -148,11 +156,15 @@ def _locked(path: str) -> int | None:
     """The file, held until it is closed or the process ends; None where files have no locks, or another holds it too long."""
     if sys.platform == "win32":
         return None
-    handle, latest = os.open(path, os.O_RDWR | os.O_CREAT), monotonic() + LONGEST_WAIT
+    handle, latest = os.open(path, os.O_RDWR | os.O_CREAT, 0o644), monotonic() + LONGEST_WAIT
     while monotonic() < latest:
-        with suppress(BlockingIOError):
+        try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            sleep(0.01)
+        except OSError:  # of a disk without locks
+            break
+        else:
             return handle
-        sleep(0.01)
     os.close(handle)
     return None

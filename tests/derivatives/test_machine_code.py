@@ -84,6 +84,12 @@ def test_an_edit_of_another_file_is_noticed(change: tuple[str, str], found: floa
     assert laws("one", change)(3.0) == found
 
 
+def test_a_function_that_was_typed_in_is_compiled(laws: Any) -> None:
+    typed: dict[str, Any] = {"__name__": "typed"}
+    exec("def doubled(x):\n    return 2.0 * x", typed)
+    assert compiled(typed["doubled"])(1.5) == 3.0
+
+
 def test_a_checkout_keeps_it_beside_its_modules_and_an_installed_package_in_the_users_cache(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
