@@ -19,6 +19,10 @@ from fusion_sfdia.logs.times import Expected
 from fusion_sfdia.plant.linear import linear_plant
 from fusion_sfdia.plant.signals import Sensor, Signal
 
+# units by which names of tags end, the first of these in any case; "in", "min" and single letters mean other things
+IN_NAMES = {u.lower(): u for u in "degC degF kPa hPa Pa bar mbar psi kW kWh Hz rpm pct percent ppm lps gpm cfm m3h".split()}
+IN_NAMES |= {u: u for u in ("MPa", "MW", "mA", "mV")}
+
 
 def signals_of(
     source: Any, inputs: Sequence[str] = (), ignore: Sequence[str] = (), log_map: LogMap = PLAIN_MAP
@@ -42,10 +46,17 @@ def signals_of(
         found = {n: u for n, u in by_name.items() if n and n not in (*log_map.time, *qualities)}
     if missing := [n for n in (*inputs, *ignore) if n not in found]:
         raise ValueError(f"{table.where}: no column {', '.join(map(repr, missing))}; known: {', '.join(map(repr, found))}")
+    found = {n: u or _unit_of_name(n) for n, u in found.items()}
     sensors = [Signal(n, unit or "1") for n, unit in found.items() if n not in (*inputs, *ignore)]
     if not sensors:
         raise ValueError(f"{table.where}: no column is left as a sensor; its columns are {', '.join(map(repr, found))}")
     return sensors, [Signal(n, found[n] or "1") for n in inputs]
+
+
+def _unit_of_name(name: str) -> str:
+    """The unit by which a tag ends, "SAT_degC"; "" where it ends by none."""
+    before, _, end = name.rpartition("_")
+    return IN_NAMES.get(end, IN_NAMES.get(end.lower(), "")) if before else ""
 
 
 def _unit_of_cells(table: Table, title: str, log_map: LogMap) -> str:

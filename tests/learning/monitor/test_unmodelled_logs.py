@@ -44,6 +44,14 @@ def test_columns_are_sensors_unless_they_are_named(tmp_path: Path) -> None:
         signals_of(path, [], [*(s.name for s in MORE), "load", "remark"])
 
 
+def test_a_tag_may_end_by_its_unit(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("time,SAT_degC,SAP_KPA,flow_in,T_MIN,p_MPa,w_mw\n0,1,2,3,4,5,6\n10,1,2,3,4,5,6\n", encoding="utf-8")
+    sensors, inputs = signals_of(path, ["SAP_KPA"])
+    assert [s.unit for s in sensors] == ["degC", "1", "1", "MPa", "1"] and inputs == [Signal("SAP_KPA", "kPa")]
+    assert load(path, sensors, inputs).log.y[0].tolist() == [1, 3, 4, 5, 6]
+
+
 def test_a_map_states_how_a_log_is_written_and_which_columns_are_used(tmp_path: Path) -> None:
     path = tmp_path / "export.csv"
     path.write_text("Stamp;TI 1;FI 1;N\n2026-01-01 00:00:00;1,5;2,0;x\n2026-01-01 00:00:10;Bad;3,0;x\n", encoding="utf-8")
