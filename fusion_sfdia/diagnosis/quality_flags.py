@@ -26,7 +26,8 @@ def quality_flags(plant: Plant, y: Array, found: Diagnosis) -> NDArray[np.int8]:
 
     FAIL: impossible, isolated, or within an event of its sensor. SUSPECT: above its threshold, one of several suspects, within
     an event that is rather another one's (confidence below `EVEN`), or in a row that allows no conclusion, as all readings
-    are far from the model or more disagree with it than can be isolated. NOT_EVALUATED: without a residual or a threshold.
+    are far from the model or more disagree with it than can be isolated. NOT_EVALUATED: without a residual or a threshold, or
+    in an operation that was not learnt and in which nothing was found.
     """
     d, names = found.decisions, plant.sensor_names
     known = np.isfinite(d.residual) & np.isfinite(d.threshold) & ~d.diverged[:, None]
@@ -38,8 +39,10 @@ def quality_flags(plant: Plant, y: Array, found: Diagnosis) -> NDArray[np.int8]:
         unsure |= d.suspect[:, : len(names)]
     flags[unsure & known] = SUSPECT
     failed = d.isolated[:, : len(names)].copy()
-    for e in found.events:
+    for e in sorted(found.events, key=lambda e: e.kind != "outside"):
         rows = slice(np.searchsorted(found.t, e.start), np.searchsorted(found.t, e.end, side="right"))
+        if e.kind == "outside":
+            flags[rows][flags[rows] == GOOD] = NOT_EVALUATED
         perhaps = e.suspects if isinstance(e, UndecidedEvent) else (e.hypothesis,) if e.confidence < EVEN else ()
         for i in (names.index(name) for name in perhaps if name in names):
             flags[rows, i], failed[rows, i] = SUSPECT, False

@@ -14,6 +14,7 @@ from toy_plants import readings, tanks
 from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.diagnosis.diagnose import Diagnosis, diagnose_run
+from fusion_sfdia.diagnosis.events import OperationEvent
 from fusion_sfdia.diagnosis.quality_flags import FAIL, GOOD, MISSING, NOT_EVALUATED, SUSPECT, quality_flags
 from fusion_sfdia.logs.columns import Source
 from fusion_sfdia.logs.conversion import conversion
@@ -52,6 +53,9 @@ def test_flags_follow_the_decisions_and_the_events(found: Diagnosis) -> None:
         found, events=(), decisions=replace(d, residual=np.full_like(d.residual, np.nan), isolated=d.isolated & False)
     )
     assert set(quality_flags(PLANT, BIASED, blind).ravel().tolist()) == {NOT_EVALUATED, MISSING}
+    unlike = OperationEvent("operation", T[36], T[42], np.nan, "", False)
+    both = quality_flags(PLANT, BIASED, replace(found, events=(event, unlike)))
+    assert both[37].tolist() == [NOT_EVALUATED] * 4 and both[41].tolist() == [*[NOT_EVALUATED] * 2, FAIL, NOT_EVALUATED]
     absurd = replace(found, decisions=replace(d, absurd=np.outer(np.arange(60) == 30, np.arange(4) == 1)))
     assert quality_flags(PLANT, BIASED, absurd)[30].tolist() == [GOOD, FAIL, GOOD, GOOD]
 
