@@ -64,7 +64,10 @@ def in_order(where: str, rows: LogRows, clock: Clock, log_map: LogMap, findings:
         rows = rows._replace(t=t)
     again = np.flatnonzero(np.diff(rows.t) == 0) + 1
     if again.size:
-        if log_map.duplicates == "refuse":
+        if log_map.duplicates == "refuse" and _are_parts(rows):
+            text = f"{counted(again.size, 'row')} joined with the one before of the same time, which lacks these readings"
+            findings.append(Finding("duplicates", "", again.size, text))
+        elif log_map.duplicates == "refuse":
             k = int(again[0])
             with problems.collecting("order"):
                 raise twice(f"{where}, row {rows.rows[k]}", column, clock, float(rows.t[k]), again.size, rows.rows[k - 1])
@@ -72,6 +75,12 @@ def in_order(where: str, rows: LogRows, clock: Clock, log_map: LogMap, findings:
             findings.append(dropped(again.size, log_map))
         rows = _one_of_each_time(rows, log_map.duplicates if log_map.duplicates in ("first", "last", "mean") else "first")
     return rows
+
+
+def _are_parts(rows: LogRows) -> bool:
+    """Whether of sorted rows with one time each lacks the readings that the others have, as where each tag writes its own."""
+    first = np.flatnonzero(np.diff(rows.t, prepend=-np.inf) > 0)
+    return all(np.add.reduceat(np.isfinite(v), first, dtype=int).max() <= 1 for v in rows.values.values())
 
 
 def _one_of_each_time(rows: LogRows, which: str) -> LogRows:

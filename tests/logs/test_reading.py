@@ -53,6 +53,19 @@ def test_inputs_act_from_their_row_or_acted_until_it(tmp_path: Path) -> None:
         np.testing.assert_array_equal(mine, expected)
 
 
+def test_rows_of_one_time_that_lack_each_others_readings_are_one(tmp_path: Path) -> None:
+    """As where each tag writes a row of its own, by stamps of whole seconds."""
+    cells = rows()
+    row = cells[2]
+    parts = [[row[0], *("" if j != i else v for j, v in enumerate(row[1:]))] for i in range(len(row) - 1)]
+    found = load(tmp_path, [*cells[:2], *parts, *cells[3:]])
+    whole = load(tmp_path, cells)
+    np.testing.assert_array_equal(found.log.y, whole.log.y)
+    np.testing.assert_array_equal(found.log.u, whole.log.u)
+    (text,) = words(found, "duplicates")
+    assert text.startswith(f"{len(parts) - 1} rows joined with the one before of the same time")
+
+
 @pytest.mark.parametrize(("rule", "expected"), [("first", 1.0), ("last", 3.0), ("mean", 2.0)])
 def test_duplicates(tmp_path: Path, rule: str, expected: float) -> None:
     cells = rows()
