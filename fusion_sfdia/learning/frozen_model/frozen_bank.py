@@ -6,7 +6,7 @@ residuals are as before. In each row
 - a window is in alarm where its T (`window_means`) exceeds its limit, and its last quarter still shows it;
 - of the causes, offsets of sensors and changes of unknowns, that have just begun, began with an abrupt event or last, since
   windows that contain a beginning show the filter on its way, those explain the event that leave little of T: on average over
-  its rows in alarm, the latest more, at most the limit, or `SMALL` of T;
+  its rows in alarm, the latest more, at most the limit, or of T the share `SMALL`, an offset of a sensor `LINEAR`;
 - one that explains much better than all others is named, a sensor or an unknown; otherwise those that explain are suspects,
   and where none does it is the process, or several causes: "no single cause";
 - while the verdict has mostly been the process no sensor is named;
@@ -15,8 +15,8 @@ residuals are as before. In each row
 - what looks like the sensor named last with the other sign, or again but much smaller, is the filter on its way back;
 - a sensor that repeats a reading twice as often as it ever did when healthy is frozen.
 
-The numbers below were chosen on one simulated air-handling unit, but `BRIEF`, `AGAIN`, `RIGHT` and `BESIDE` on plants of our
-tests.
+The numbers below were chosen on one simulated air-handling unit, but `LINEAR`, `BRIEF`, `AGAIN`, `RIGHT` and `BESIDE` on plants
+of our tests.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ LONGEST = WINDOWS[-1]
 PART = 10  # rows over which derivatives of errors are kept as one: they change slowly
 FALSE_ALARM = 1e-3  # per row, where no rate was fitted
 FADES = 60  # rows over which an event's rows count, and without alarm after which it is over
-SMALL = 0.15  # share of T that a cause may leave
+SMALL, LINEAR = 0.15, 0.08  # share of T that a change of an unknown may leave, and an offset, which bends no equation
 NEAR, NEAR_SHARE = 0.3, 0.06  # limits, or share of T, by which a rival may leave more than the best cause
 BESIDE = 0.5  # share of T that an unknown may leave, beside a lasting fault, and be a rival of a sensor all the same
 STILL, LAST = 0.5, 1.5  # of T that the last quarter shows at least, and the factor on what the last rows show
@@ -298,18 +298,18 @@ class FrozenBank(BatchDetector):
             phi = memory.regressors[..., rows, :].mean(axis=-2)
             off = beyond(phi, self.frozen.low, self.frozen.high)
             growth = self.frozen.growth(i, phi) * off
-            g, d, begun = growth * float(self._limits[i]), by_cause, by_begun
+            g, d, began = growth * float(self._limits[i]), by_cause, event & (memory.age < w)
             if w > PART:
-                begun = self._mean_since(k, w, memory)
                 parts = (k - 1) // PART - np.arange(w // PART)
                 d = memory.by_cause[..., parts % (LONGEST // PART), :, :].mean(axis=-3)
             beside = np.sum(np.where(acting[..., None, :], d, 0.0), axis=-1) if acting.any() else None
             t, j, s, power = explained(spread, m, known, d, g, beside)
             then, still = j, t > 0
-            for other in (
-                np.where((event & (memory.age < w))[..., None, None], begun, 0.0),
-                *([memory.tracked.grown[..., w - 1, :, :] / w] if w <= FRESH else []),
-            ):
+            others = [memory.tracked.grown[..., w - 1, :, :] / w] if w <= FRESH else []
+            if began.any():
+                begun = self._mean_since(k, w, memory) if w > PART else by_begun
+                others.insert(0, np.where(began[..., None, None], begun, 0.0))
+            for other in others:
                 _, *than = explained(spread, m, known, other, g, beside)
                 j, s, power = (np.where(than[0] > j, b, a) for a, b in zip((j, s, power), than, strict=True))
             if w > FRESH:
@@ -385,8 +385,10 @@ class FrozenBank(BatchDetector):
         age = np.where(over, alarm, memory.age + 1.0)
         abrupt = (memory.abrupt & ~over) | (alarm & (found.brief > 0) & (age <= FRESH))
         a, whole = left / np.maximum(weight, 1e-9)[..., None], total / np.maximum(weight, 1e-9)
-        explains = alarm[..., None] & (a <= np.maximum(level, SMALL * whole)[..., None])
-        best = np.argmin(a, axis=-1)
+        share = np.where(np.arange(a.shape[-1]) < count, LINEAR, SMALL)
+        explains = alarm[..., None] & (a <= np.maximum(level, share * whole[..., None]))
+        some = np.asarray(explains.any(axis=-1))
+        best = np.argmin(np.where(explains | ~some[..., None], a, np.inf), axis=-1)
         least = np.take_along_axis(a, best[..., None], axis=-1)
         rival = explains & (a <= least + np.maximum(NEAR, NEAR_SHARE * whole)[..., None])
         beside = alarm & (memory.acting >= 0)
@@ -394,7 +396,6 @@ class FrozenBank(BatchDetector):
         is_sensor = best < count
         rival[..., count:] &= is_sensor[..., None]  # unknowns are no rivals of each other
         np.put_along_axis(rival, best[..., None], False, axis=-1)
-        some = explains.any(axis=-1)
         alone = some & ~rival.any(axis=-1)
         size = np.take_along_axis(found.size, best[..., None], axis=-1)[..., 0]
         lasts = (best == memory.named) & (memory.since <= BRIEF)

@@ -18,7 +18,7 @@ from fusion_sfdia.detectors.verdicts import Verdict
 from fusion_sfdia.diagnosis.diagnose import diagnose_run
 from fusion_sfdia.diagnosis.events import events_of
 from fusion_sfdia.diagnosis.simulate import simulate
-from fusion_sfdia.learning.frozen_model.frozen_bank import LONGEST, NO_SINGLE_CAUSE, OUTSIDE, FrozenBank
+from fusion_sfdia.learning.frozen_model.frozen_bank import LONGEST, NO_SINGLE_CAUSE, OUTSIDE, Found, FrozenBank
 from fusion_sfdia.plant.linear import linear_plant
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.signals import Sensor
@@ -185,3 +185,17 @@ def test_a_second_fault_beside_a_lasting_one_is_named_and_the_repair_of_the_firs
     assert not d.isolated[repair + 15 :, 0].any() and not d.isolated[:second, 2].any()
     np.testing.assert_allclose(np.nanmedian(d.fault_size[second + 60 : repair][:, [0, 2]], axis=0), [10.0, -8.0], atol=0.5)
     assert np.all((np.abs(d.residual) > d.threshold)[second + 10 : repair, 0])
+
+
+@pytest.mark.parametrize(("left", "named"), [(0.03, True), (0.11, False)])
+def test_a_sensor_whose_offset_leaves_a_tenth_of_a_large_change_is_not_named(left: float, named: bool) -> None:
+    """An offset of a reading bends no equation, so that a fault of a sensor leaves little whatever its size."""
+    detector = on_tanks()
+    count, causes = len(PLANT.sensors), len(PLANT.sensors) + len(detector.process_hypotheses) - 2
+    total, one, no = np.array(100.0), np.ones(causes), np.array(False)
+    own = np.full(causes, 20.0)
+    own[2] = (1 - left) * total
+    found = Found(~no, total, own, one, one, total, no, np.zeros(causes, bool), np.array(0), no)
+    _, isolated, _, process, suspect, _ = detector._causes(detector._start((), 0), found, np.ones(count))
+    assert isolated[2] == named and not np.delete(isolated, 2).any() and not suspect.any()
+    assert process[-2] == (not named)
