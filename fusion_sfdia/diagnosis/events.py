@@ -265,6 +265,31 @@ class UnnamedEvent(Event):
 
 
 @dataclass(frozen=True)
+class GroupEvent(Event):
+    """From start to end (s) several readings moved together as never in the healthy logs: the process.
+
+    most: the channels that are furthest off.
+    """
+
+    kind: ClassVar[str] = "process"
+    most: tuple[str, ...] = ()
+
+    def summary(self, clock: Clock) -> str:
+        """The event in words, with the times of a clock."""
+        by = f", most: {listed(self.most)}" if self.most else ""
+        return f"process {self.when(clock)}: readings that move together as never in the healthy logs{by}; no sensor alone"
+
+    def statement(self, when: str, words: Mapping[str, object]) -> str:
+        """What a technician is told."""
+        moved, most = "have moved" if self.open else "moved", [str(words.get(name) or name) for name in self.most]
+        by = f", {listed(most)} most of all" if most else ""
+        return (
+            f"Readings {moved} together {when} as never in the healthy logs{by}; no sensor alone explains that. Check how the "
+            "plant is being run."
+        )
+
+
+@dataclass(frozen=True)
 class OperationEvent(Event):
     """From start to end (s) operation was as in no healthy log, so that what looks wrong may be right."""
 
@@ -348,7 +373,7 @@ def _process(tested: Sequence[ProcessHypothesis], t: Array, decisions: Decision,
     for j, h in enumerate(tested):
         for a, b in spans(decisions.process[:, j], gap):
             if not h.has_size:
-                kind = OperationEvent if h.kind == "outside" else UnnamedEvent
+                kind = {"outside": OperationEvent, "together": GroupEvent}.get(h.kind, UnnamedEvent)
                 found.append(kind(h.name, *_when(t, a, b), float("nan"), "", b == len(t) - 1))
                 continue
             size, sd = (median(values[a : b + 1, j]) for values in (decisions.process_size, decisions.process_sd))

@@ -16,6 +16,7 @@ from fusion_sfdia.diagnosis.events import (
     CERTAIN,
     EVEN,
     Event,
+    GroupEvent,
     OtherEvent,
     ProcessEvent,
     UndecidedEvent,
@@ -251,6 +252,8 @@ def _follow_up(o: Event, sensor: str, words: Words, clock: Clock) -> str:
         return f"{when} it {cannot} be told whether {_either(names)} {is_} at fault"
     if o.kind == "outside":
         return f"{when} operation {'has been' if open_ else 'was'} unlike any healthy log"
+    if isinstance(o, GroupEvent):
+        return f"{when} readings {'have moved' if open_ else 'moved'} together as never before"
     if isinstance(o, UnnamedEvent):
         return f"{when} the process {'has not fitted' if open_ else 'did not fit'} the model"
     w = words.get(o.hypothesis) or Wording("sensor" if o.kind == "sensor" else "parameter", o.hypothesis)

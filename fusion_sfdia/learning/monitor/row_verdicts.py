@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors.detector import Decision, ProcessHypothesis, joined
 from fusion_sfdia.diagnosis.diagnose import Diagnosis
-from fusion_sfdia.diagnosis.events import Event, OperationEvent, UndecidedEvent, listed, median, spans, with_unit
+from fusion_sfdia.diagnosis.events import Event, GroupEvent, OperationEvent, UndecidedEvent, listed, median, spans, with_unit
 from fusion_sfdia.diagnosis.sentences import Wording
 from fusion_sfdia.learning.monitor.causes import MOVED, ONE_OF, OUTSIDE, PROCESS, RECORDER, Causes
 from fusion_sfdia.learning.monitor.channels import Channels, deviations
@@ -32,36 +32,11 @@ PERHAPS = 0.3  # the confidence of these, our choice: below even, and not measur
 JOINED = 16  # rows: events of one verdict that are fewer apart are one
 PROCESS_NAME, TOGETHER = "the process", "readings that move together"
 TESTED = (
-    ProcessHypothesis(TOGETHER, "1", "unnamed", np.nan),
+    ProcessHypothesis(TOGETHER, "1", "together", np.nan),
     ProcessHypothesis("operation outside the healthy logs", "1", "outside", np.nan),
     ProcessHypothesis("the recorder stopped", "1", "outside", np.nan),
     ProcessHypothesis("a reading that never moved when healthy", "1", "outside", np.nan),
 )
-
-
-@dataclass(frozen=True)
-class GroupEvent(Event):
-    """From start to end (s) several readings moved together as never in the healthy logs: the process.
-
-    most: the channels that are furthest off.
-    """
-
-    kind: ClassVar[str] = "process"
-    most: tuple[str, ...] = ()
-
-    def summary(self, clock: Clock) -> str:
-        """The event in words, with the times of a clock."""
-        by = f", most: {listed(self.most)}" if self.most else ""
-        return f"process {self.when(clock)}: readings that move together as never in the healthy logs{by}; no sensor alone"
-
-    def statement(self, when: str, words: Mapping[str, object]) -> str:
-        """What a technician is told."""
-        moved, most = "have moved" if self.open else "moved", [str(words.get(name) or name) for name in self.most]
-        by = f", {listed(most)} most of all" if most else ""
-        return (
-            f"Readings {moved} together {when} as never in the healthy logs{by}; no sensor alone explains that. Check how the "
-            "plant is being run."
-        )
 
 
 @dataclass(frozen=True)

@@ -2,46 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from factor_logs import factors, log_of, runs_with_offsets, signals
 
 from fusion_sfdia.learning.monitor.held_out import tolerance
 from fusion_sfdia.learning.monitor.monitor import Monitor
-from fusion_sfdia.plant.log import Log
-from fusion_sfdia.plant.signals import Signal
-
-Array = NDArray[Any]
 
 STATED = 0.01
-
-
-def factors(seed: int, rows: int = 1500, sensors: int = 8) -> Array:
-    """Readings (K, N) of three slow factors, each with autocorrelated noise of its own; a plant for each ten seeds."""
-    C = np.random.default_rng(seed // 10).standard_normal((sensors, 3))
-    size = 0.3 + 0.7 * np.random.default_rng(seed // 10 + 1).random(sensors)
-    rng = np.random.default_rng(seed)
-    kept = np.array([0.98, 0.9, 0.5])
-    f, e, n, m = (
-        np.zeros((rows, 3)),
-        np.zeros((rows, sensors)),
-        rng.standard_normal((rows, 3)),
-        rng.standard_normal((rows, sensors)),
-    )
-    for k in range(1, rows):
-        f[k] = kept * f[k - 1] + np.sqrt(1 - kept**2) * n[k]
-        e[k] = 0.6 * e[k - 1] + 0.8 * m[k]
-    return f @ C.T + e * size
-
-
-def log_of(y: Array, dt: float = 60.0) -> Log:
-    return Log(dt * np.arange(len(y)), y, np.zeros((len(y), 0)))
-
-
-def signals(count: int) -> list[Signal]:
-    return [Signal(f"s{i}") for i in range(count)]
 
 
 def test_a_tolerance_limit_holds_the_next_value_as_often_as_stated() -> None:
@@ -99,16 +67,7 @@ def test_runs_with_offsets_of_their_own_raise_no_alarm_and_steps_in_them_are_nam
     Alarms at most twice the stated rate, but for one run, or "outside what was learnt"; a step of 3 deviations in the middle is
     named in most of the rows, another sensor seldom.
     """
-    rng = np.random.default_rng(11)
-    C, bend, size = rng.standard_normal((10, 2)), 0.3 * rng.standard_normal(10), 0.3 + 0.5 * rng.random(10)
-    runs = []
-    for _ in range(6):
-        f, n = np.zeros((800, 2)), rng.standard_normal((800, 2))
-        for k in range(1, 800):
-            f[k] = [0.95, 0.8] * f[k - 1] + np.sqrt([1 - 0.95**2, 0.36]) * n[k]
-        x = f * [0.5, 1.0] + [rng.uniform(-1, 1), 0.0]
-        noise = size * rng.standard_normal((800, 10)) + offset * rng.standard_normal(10)
-        runs.append(x @ C.T + np.outer(x[:, 0] ** 2, bend) + noise)
+    runs = runs_with_offsets(11, 6, offset)
     right, wrong, rates = [], [], []
     for k, run in enumerate(runs):
         monitor = Monitor.of_logs(signals(10), [log_of(r) for j, r in enumerate(runs) if j != k])

@@ -15,9 +15,11 @@ from test_learning_monitor import DT, LOAD, SENSORS, STEP, made
 from fusion_sfdia.cli.main import main
 from fusion_sfdia.detectors.detector import Decision, stack
 from fusion_sfdia.detectors.verdicts import Verdict
+from fusion_sfdia.diagnosis.events import events_of
 from fusion_sfdia.diagnosis.watch import Watch
 from fusion_sfdia.learning.monitor.channels import Read, read
 from fusion_sfdia.learning.monitor.monitor import Monitor
+from fusion_sfdia.learning.monitor.row_verdicts import JOINED
 from fusion_sfdia.logs.csv_log import write_log
 from fusion_sfdia.plant.log import Log
 
@@ -102,6 +104,16 @@ def test_a_stream_that_goes_on_from_its_state_writes_what_one_without_a_stop_wri
     other = Monitor.of_logs(SENSORS, [made(1), made(3)], inputs=[LOAD])
     with pytest.raises(ValueError, match="saved by another detector"):
         other.stream(tmp_path / "state")
+
+
+def test_a_fault_of_the_process_is_live_what_it_is_in_a_log(monitor: Monitor) -> None:
+    """Without a model no sentence speaks of one."""
+    log = made(22, 40)
+    d = monitor.diagnose(log).decisions
+    assert d.process is not None
+    d.process[10:30, 0] = True
+    (event,) = [e for e in events_of(monitor.stream().detector, log.t, d, JOINED) if e.kind == "process"]
+    assert event.statement("now", {}).startswith("Readings moved together now as never in the healthy logs; no sensor alone")
 
 
 def test_missing_readings_and_inputs_and_repeats_are_judged_as_they_are(monitor: Monitor) -> None:
