@@ -81,10 +81,12 @@ def fault_free(log: Log) -> Judged:
     return Judged(log, np.zeros(log.y.shape, np.int8), np.zeros(rows, bool), np.ones(rows, bool))
 
 
-def injections(choices: Sequence[Sequence[int]], each: int = EACH) -> Iterator[tuple[str, float, int, np.random.Generator]]:
+def injections(
+    choices: Sequence[Sequence[int]], each: int = EACH, seed: int = 11
+) -> Iterator[tuple[str, float, int, np.random.Generator]]:
     """Kind, size, sensor and generator of each fault; choices: the sensors of each of INJECTED."""
     for k, kind in enumerate(INJECTED):
-        rng = np.random.default_rng([11, k])
+        rng = np.random.default_rng([seed, k])
         for size in np.repeat(SIZES, each):
             yield kind, float(size), int(rng.choice(choices[k])), rng
 

@@ -73,8 +73,12 @@ class WrongLaw:
         bias: Callable[[Array], Array] | None = None,
         change: Callable[[Array], Array] | None = None,
         warmer: float = 0.0,
+        stuck: tuple[int, int, int] | None = None,
     ) -> Log:
-        """Readings of so many days: bias (K, N) is added to them in sigma, change (K, p) multiplies the true parameters."""
+        """Readings of so many days: bias (K, N) is added to them in sigma, change (K, p) multiplies the true parameters.
+
+        stuck: a sensor that repeats the reading of a row until before another row.
+        """
         rng, rows = np.random.default_rng([seed, 5]), int(days * DAY)
         theta = np.array([p.nominal for p in self.parameters])
         theta = theta * (1 + OFF * np.random.default_rng([building, 6]).standard_normal(theta.size).clip(-2, 2))
@@ -97,6 +101,8 @@ class WrongLaw:
             x = _rk4(self.true_rates, x, u[k], theta * factor[k], DT) + shaken[k]
             exact = self.true_readings(x, u[k], theta * factor[k])
             before = y[k] = np.round((exact + noise[k] + off[k]) / (0.5 * sigma)) * 0.5 * sigma
+            if stuck is not None and stuck[1] <= k < stuck[2]:
+                y[k, stuck[0]] = y[stuck[1], stuck[0]]
         return Log(t, y, u)
 
 
@@ -111,7 +117,8 @@ def _rk4(rates: Flow, x: Array, u: Array, theta: Array, dt: float) -> Array:
     return x
 
 
-def _columns(*values: Any) -> Array:
+def columns(*values: Any) -> Array:
+    """The values as columns (..., n)."""
     shape = np.broadcast_shapes(*(np.shape(v) for v in values))
     found = np.empty((*shape, len(values)), np.result_type(*values))
     for i, value in enumerate(values):
@@ -119,7 +126,7 @@ def _columns(*values: Any) -> Array:
     return found
 
 
-def _walk(t: Array, rng: np.random.Generator, sd: float, hours: float) -> Array:
+def walk(t: Array, rng: np.random.Generator, sd: float, hours: float) -> Array:
     """A smooth random course of that standard deviation and time constant."""
     keep, found = np.exp(-DT / 3600 / hours), np.zeros(t.size)
     first = second = 0.0
@@ -146,7 +153,7 @@ def heated_room() -> WrongLaw:
 
         def rates(x: Array, u: Array, theta: Array) -> Array:
             coil, air, room, out, fan, boiler, mixed, transfer, water, loss = parts(x, u, theta)
-            return _columns(
+            return columns(
                 (water * (boiler - coil) - transfer) / tau["coil"],
                 (transfer - fan * (air - mixed)) / tau["air"],
                 (fan * (air - room) * 6 - 6 * loss * (room - out)) / tau["room"],
@@ -154,7 +161,7 @@ def heated_room() -> WrongLaw:
 
         def readings(x: Array, u: Array, theta: Array) -> Array:
             coil, air, room, _, _, boiler, mixed, transfer, water, _ = parts(x, u, theta)
-            return _columns(coil, air, room, mixed, transfer, water, boiler - transfer / (water + 0.2))
+            return columns(coil, air, room, mixed, transfer, water, boiler - transfer / (water + 0.2))
 
         return rates, readings
 
@@ -184,11 +191,11 @@ def heated_room() -> WrongLaw:
         (Parameter("ua", "1", 0.35, sd=0.03), Parameter("loss", "1", 0.35, sd=0.03), Parameter("flow", "1", 1.0, sd=0.08)),
         *model,
         *truth,
-        lambda t, rng: _columns(
-            279 + 4 * np.sin(2 * np.pi * (t / 86400 - 0.4)) + _walk(t, rng, 2.0, 6.0),
+        lambda t, rng: columns(
+            279 + 4 * np.sin(2 * np.pi * (t / 86400 - 0.4)) + walk(t, rng, 2.0, 6.0),
             0.0 * t,
             np.where((t / 3600 % 24 > 6) & (t / 3600 % 24 < 20), 0.8, 0.6) + 0.0 * t,
-            333 + _walk(t, rng, 1.5, 3.0),
+            333 + walk(t, rng, 1.5, 3.0),
         ),
         lambda y, w: np.array([w[0], np.clip(0.5 + 0.2 * (294.5 - y[2]) + 0.02 * (282 - w[0]), 0.05, 1.0), w[2], w[3]]),
         np.array([0.05, 0.05, 0.004]),
@@ -208,11 +215,11 @@ def tank_cascade() -> WrongLaw:
 
         def rates(x: Array, u: Array, theta: Array) -> Array:
             fed, a, b, c, draw = flows(x, u, theta)
-            return _columns((fed - a) / 900, (a - b - 0.3 * draw) / 1500, (b - c) / 1200)
+            return columns((fed - a) / 900, (a - b - 0.3 * draw) / 1500, (b - c) / 1200)
 
         def readings(x: Array, u: Array, theta: Array) -> Array:
             fed, a, b, c, _ = flows(x, u, theta)
-            return _columns(x[..., 0], x[..., 1], x[..., 2], fed, a, b, c)
+            return columns(x[..., 0], x[..., 1], x[..., 2], fed, a, b, c)
 
         return rates, readings
 
@@ -230,10 +237,10 @@ def tank_cascade() -> WrongLaw:
         ),
         *law(0.5, 0.0),
         *law(0.65, 0.25),
-        lambda t, rng: _columns(
+        lambda t, rng: columns(
             0.0 * t,
-            1 + 0.12 * np.sin(2 * np.pi * t / 43200) + _walk(t, rng, 0.06, 2.0),
-            0.2 * (np.sin(2 * np.pi * t / 86400) > 0.5) + _walk(t, rng, 0.1, 4.0),
+            1 + 0.12 * np.sin(2 * np.pi * t / 43200) + walk(t, rng, 0.06, 2.0),
+            0.2 * (np.sin(2 * np.pi * t / 86400) > 0.5) + walk(t, rng, 0.1, 4.0),
         ),
         lambda y, w: np.array([np.clip(1.0 + 0.8 * (1.0 - y[2]), 0.2, 2.0), w[1], w[2]]),
         np.full(3, 5e-4),
@@ -257,7 +264,7 @@ def exchanger_pair() -> WrongLaw:
             q1, q2, h1, h2, c1, c2 = heats(x, u, theta)
             hot, flow, cold, through = (u[..., i] for i in range(4))
             loss = theta[..., 2]
-            return _columns(
+            return columns(
                 (flow * (hot - h1) - q1 - loss * (h1 - 293)) / 240,
                 (flow * (h1 - h2) - q2) / 240,
                 (through * (c2 - c1) + q1) / 240,
@@ -266,7 +273,7 @@ def exchanger_pair() -> WrongLaw:
 
         def readings(x: Array, u: Array, theta: Array) -> Array:
             q1, _, h1, h2, c1, c2 = heats(x, u, theta)
-            return _columns(h1, h2, c1, c2, 0.1 * q1)
+            return columns(h1, h2, c1, c2, 0.1 * q1)
 
         return rates, readings
 
@@ -286,11 +293,11 @@ def exchanger_pair() -> WrongLaw:
         (Parameter("k1", "1", 0.6, sd=0.05), Parameter("k2", "1", 0.6, sd=0.05), Parameter("loss", "1", 0.02, sd=0.004)),
         *law(False),
         *law(True),
-        lambda t, rng: _columns(
-            355 + 3 * np.sin(2 * np.pi * t / 86400) + _walk(t, rng, 2.0, 3.0),
+        lambda t, rng: columns(
+            355 + 3 * np.sin(2 * np.pi * t / 86400) + walk(t, rng, 2.0, 3.0),
             0.0 * t,
-            290 + _walk(t, rng, 2.0, 5.0),
-            1 + 0.15 * np.sin(2 * np.pi * t / 50000) + _walk(t, rng, 0.08, 2.0),
+            290 + walk(t, rng, 2.0, 5.0),
+            1 + 0.15 * np.sin(2 * np.pi * t / 50000) + walk(t, rng, 0.08, 2.0),
         ),
         lambda y, w: np.array([w[0], np.clip(1.0 + 0.05 * (321 - y[2]), 0.4, 2.0), w[2], w[3]]),
         np.full(4, 0.03),
