@@ -43,9 +43,9 @@ class Case:
     readings: how the readings err. start: "nominal", "sampled" from the initial covariance, or at a "corner", `CORNER` standard
     deviations of each state away. off: how many declared unknowns are `CORNER` standard deviations off throughout (-1: all).
     undeclared: relative error of the rate of one state. sensors: kind and size (sigma) of the fault of each sensor that fails.
-    process: the profile of a change of one declared unknown by `CHANGE` standard deviations, "" for none; lead: rows by which
-    it begins before the sensors' faults. stated: a mismatch case or a process fault that stands beside the plant, which then
-    gives the truth; a process fault lasts to the end.
+    process: the profile of a change of one declared unknown by `CHANGE` standard deviations, "" for none. stated: a mismatch
+    case or a process fault that stands beside the plant, which then gives the truth; a process fault lasts to the end. lead:
+    rows by which the process changes before the sensors' faults.
     """
 
     group: str
@@ -117,21 +117,25 @@ def cases_for(plant: Plant, groups: Sequence[str] = GROUPS) -> tuple[Case, ...]:
     )
 
 
-def trial(plant: Plant, case: Case, seed: int, steps: int = STEPS) -> ErrorTrial:
+def trial(
+    plant: Plant, case: Case, seed: int, steps: int = STEPS, begin: int | None = None, last: int | None = None
+) -> ErrorTrial:
     """The readings of a case on a plant; the same for the same seed. ArithmeticError where the truth leaves its limits.
 
+    begin: rows before the faults of sensors; last: rows that causes last; a third of the steps each unless stated.
     They come from the high-fidelity model of the plant, where it has one, unless parameters, equations or the start differ:
     these are of the plant itself. Process noise acts where the plant states that it acts on the real one (`Truth.disturbed`).
     """
     rng = stream(seed, "study", case.name)
-    length = steps // 3 * plant.dt
+    begin, last = (steps // 3 if rows is None else rows for rows in (begin, last))
+    changes_at, length = begin - case.lead, last * plant.dt
     unknowns = declared(plant)
     order = [unknowns[int(j)] for j in rng.permutation(len(unknowns))]
     off = order if case.off < 0 else order[: case.off]
     variations = [Variation(u.name, _signed(rng, CORNER * u.sd)) for u in off]
     if case.process:
-        begins = length - case.lead * plant.dt
-        variations.append(Variation(order[0].name, _signed(rng, CHANGE * order[0].change), case.process, begins, length))
+        size = _signed(rng, CHANGE * order[0].change)
+        variations.append(Variation(order[0].name, size, case.process, changes_at * plant.dt, length))
     rates = np.ones(len(plant.states))
     rates[rng.integers(rates.size)] += _signed(rng, case.undeclared)
     truth: Plant | str = "finer"
@@ -140,31 +144,30 @@ def trial(plant: Plant, case: Case, seed: int, steps: int = STEPS) -> ErrorTrial
     elif case.start != "nominal":
         truth = "model"
     if case.stated is None:
-        made = simulate(
-            plant, steps, [seed], truth=truth, process_noise=plant.truth.disturbed, start=_start(rng, plant, case.start)
-        )
+        start = rest_of(truth) if case.start == "rest" and isinstance(truth, Plant) else _start(rng, plant, case.start)
+        made = simulate(plant, steps, [seed], truth=truth, process_noise=plant.truth.disturbed, start=start)
     else:
-        made = _stated(plant, case.stated, steps, seed)
+        made = _stated(plant, case.stated, steps, seed, changes_at)
     signal, t = made.signal[:, 0], made.t
     y = case.readings.reading(rng, plant, signal, case.readings.noise(rng, signal.shape))
     faults = [
-        Fault(plant.sensor_names[i], kind, float(t[steps // 3]), length, _signed(rng, size * plant.sensor_sigma[i]))
+        Fault(plant.sensor_names[i], kind, float(t[begin]), length, _signed(rng, size * plant.sensor_sigma[i]))
         for i, (kind, size) in zip(rng.permutation(len(plant.sensors))[: len(case.sensors)], case.sensors, strict=True)
     ]
     found = apply_faults(plant, t, y, faults, rng)
     changes = [v for v in variations if v.profile != "constant"]
     process = np.array([any(v.at(k - plant.dt, plant.dt) != 0 for v in changes) for k in t.tolist()])
     if isinstance(case.stated, ProcessFaultCase):
-        process |= t > float(t[steps // 3]) - plant.dt / 2
+        process |= t > float(t[changes_at]) - plant.dt / 2
     return ErrorTrial(Log(t, found.y, made.u_of_runs[:, 0]), found.active, process)
 
 
-def _stated(plant: Plant, case: MismatchCase | ProcessFaultCase, steps: int, seed: int) -> Recording:
-    """The recording of a case that stands beside the plant: mismatch from the first row on, a process fault after a third."""
+def _stated(plant: Plant, case: MismatchCase | ProcessFaultCase, steps: int, seed: int, onset: int) -> Recording:
+    """The recording of a case that stands beside the plant: mismatch from the first row on, a process fault from a row on."""
     if isinstance(case, MismatchCase):
         inputs = None if case.inputs is None else partial(_inputs_from_start, case.inputs)
         return case_readings(plant, steps, [seed], truth=None if case.truth is None else case.truth(), inputs=inputs)
-    begin = (steps // 3 - 1e-6) * plant.dt  # with the last healthy reading, but for rounding
+    begin = (onset - 1e-6) * plant.dt  # with the last healthy reading, but for rounding
     truth = None if case.truth is None else case.truth(begin)
     return case_readings(plant, steps, [seed], truth=truth, lost=None if case.lost is None else (begin, case.lost))
 
@@ -175,6 +178,16 @@ def _inputs_from_start(inputs: Callable[[float, float], Array], t: float) -> Arr
 
 def _signed(rng: np.random.Generator, size: float) -> float:
     return float(size * rng.choice([-1.0, 1.0]))
+
+
+def rest_of(plant: Plant, tolerance: float = 1e-9, most: int = 20_000) -> Array:
+    """The states (n,) to which a plant comes from x0 under the input of its start; after `most` steps those that it has."""
+    x, u = plant.x0[None], plant.input_at(0.0)[None]
+    for _ in range(most):
+        before, x = x, plant.step(0.0, x, u, plant.dt)
+        if np.all(np.abs(x - before) <= tolerance * np.sqrt(diagonal(plant.initial_cov))):
+            break
+    return np.asarray(x[0])
 
 
 def _start(rng: np.random.Generator, plant: Plant, start: str) -> str | Array:

@@ -27,7 +27,11 @@ def _scenarios() -> dict[str, str]:
             stem, dot, _ = file.name.rpartition(".py")
             if dot and stem != "__init__":
                 found[f"{group}/{stem.replace('_', '-')}"] = f"fusion_sfdia.benchmarks.{group}.{stem}:SCENARIO"
-    of_all_plants = {"comparison": "study.comparison.compare", "robustness": "study.robustness"}
+    of_all_plants = {
+        "comparison": "study.comparison.compare",
+        "robustness": "study.robustness",
+        "acceptance": "study.acceptance",
+    }
     return found | {name: f"fusion_sfdia.{module}:SCENARIO" for name, module in of_all_plants.items()}
 
 
