@@ -43,7 +43,7 @@ Array = NDArray[Any]
 Results = list[tuple[Task, Arrays]]
 
 NAME, DETECTOR = "acceptance", "robust-glr"
-SEEDS, FIRST_SEED, LOG_SEEDS = 24, 640_000, 10_000_000  # logs begin at the sum of the last two
+SEEDS, FIRST_SEED, LOG_SEEDS = 24, 700_000, 10_000_000  # logs begin at the sum of the last two
 FALSE_ALARM = 1e-3  # per row, to which detectors are tuned
 VERDICTS = ("met", "within its interval", "missed")
 ITEMS = {

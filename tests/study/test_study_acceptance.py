@@ -133,7 +133,11 @@ def results(**changes: str) -> list[tuple[Task, Arrays]]:
     """Arrays as of `work`, made up: each limit is just met, but the second of each item is missed by far."""
     found = []
     for task in a.tasks(settings(**changes), 24):
-        same = [c for c in EVERY if (c.item, c.plant, c.log, c.log_rows) == tuple(task[k] for k in ("item", "plant", "log", "log_rows"))]
+        same = [
+            c
+            for c in EVERY
+            if (c.item, c.plant, c.log, c.log_rows) == tuple(task[k] for k in ("item", "plant", "log", "log_rows"))
+        ]
         rows = [(c.name, m, limit) for c in same for m, limit in c.limits.items()]
         value = np.array([abs(limit) for *_, limit in rows])
         if task["plant"] == a.NETWORK:
@@ -163,7 +167,7 @@ def test_a_verdict_compares_value_and_limit() -> None:
 
 def test_unknown_items_and_plants_are_refused(tmp_path: Path) -> None:
     for change in ({"items": "P10"}, {"plants": "two-tank"}):
-        with pytest.raises(ValueError, match="known:|did you mean"):
+        with pytest.raises(ValueError, match=r"known:|did you mean"):
             a.tasks(settings(**change), 2)
     assert [t["item"] for t in a.tasks(settings(items="P7", plants=a.TANKS, earlier=str(tmp_path)), 2)] == ["P7"]
 

@@ -1,23 +1,29 @@
 """The noise that readings show while a filter runs: its size, its correlation from sample to sample, and single outliers.
 
 Of each sensor e = u / sqrt(w), the leave-one-out innovation over its stated standard deviation, is white with variance 1 where
-the model and the stated noise are right. Four things are followed, all so that a fault moves them little:
+the model and the stated noise are right. Five things are followed, all so that a fault moves them little:
 
     size          ln kappa <- ln kappa +- STEP, + where e^2 > .455 kappa, the median of chi-square (Robbins and Monro 1951),
                   with ln kappa at most LARGER (higher for many sensors, see `larger_from`), since the part above enlarges
                   the filter's noise;
                   what all sensors have in common is followed faster, as a fault of a sensor does not move it
-    correlation   q = 1 - mean of min((e_k - e_k-1)^2 / (2 kappa), CUT) / CUT_MEAN: a lasting fault changes one difference
+    correlation   q = 1 - mean of min((e_k - e_k-1)^2 / (2 kappa), CUT) / CUT_MEAN: a lasting fault of a sensor changes one
+                  difference; a fault of the process, which grows in many, raises the q of all sensors together: more of that
+                  counts a block of BLOCK samples later where hypotheses compete, and for the process
     clipping      readings count as if |e| were CLIP at most, the worst first
     level         m, the mean of clipped e over the last LEVEL samples; the model is off by M = max(0, median of m^2 / .455 -
                   (1 + CHANCE_LEVEL / sqrt(N)) V), the median over N sensors, V the variance that noise gives m; this counts a
                   block of BLOCK samples later, so that a fault which begins is judged without it
+    sums          v, the mean of min(a^2 / (b c), CUT) / CUT_MEAN, at most 1, over sensors and the onsets of windows at least
+                  LONG samples ago, c as below: the process may move less than the model allows, the filter may take up a part
+                  of slow noise, and then sums vary less than the noise lets them
 
 A sum over n samples of noise with the correlation q from each sample to the next varies c(n, q) times as much as one of white
 noise, see `plant.slow_noise`, and where levels vary by M from sensor to sensor the square of the sum grows by n^2 M, its
 variance over that of white noise by n M. Where a sensor states slow noise (`SlowNoise`), of the share s and the correlation q
-from sample to sample, sums vary at least 1 + s (c(n, q) - 1) times as much. The statistics of windows are divided by it, those
-of the process without M: all sensors together show it.
+from sample to sample, sums vary at least 1 + s (c(n, q) - 1) times as much. The statistics of windows are divided by v times
+all that, but by no less than for white noise or for the noise that is stated, those of the process without M: all sensors
+together show it.
 """
 
 from __future__ import annotations
@@ -34,7 +40,7 @@ from fusion_sfdia.common.alike import single
 from fusion_sfdia.derivatives.equation import compiled, part, python_first
 from fusion_sfdia.detectors.kalman_banks.bank_kernels import contiguous
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import LeaveOneOut
-from fusion_sfdia.detectors.kalman_banks.likelihood_window import Inflation
+from fusion_sfdia.detectors.kalman_banks.likelihood_window import Inflation, Weighed
 from fusion_sfdia.plant import slow_noise
 
 Array = NDArray[Any]
@@ -56,6 +62,9 @@ OWN, ALL = 128.0, 24.0  # samples in the running means of a sensor, and of all t
 SUPPOSED, WEIGHT = 0.8, 8.0  # correlation before any reading, and the samples that it counts for
 CHANCE = 0.2  # correlation of a sensor alone that counts: about two standard errors of OWN samples
 HIGHEST = 0.98  # correlation
+LONG = 8.0  # samples in sums whose variance is followed
+SUMS, EXPECTED = 256.0, 64.0  # samples in its running mean, and those that count as expected before any
+SMALLEST = 0.4  # of what is expected
 
 inflation = part(slow_noise.inflation)
 
@@ -65,7 +74,8 @@ class ReadingNoise(NamedTuple):
 
     common (...): the part of ln kappa that all sensors have. spread (..., N): what kappa has been lately, where the filter did
     not take it into account. own (..., N): of each sensor, every (...): of all; samples (...): samples in these means. level
-    (..., N): m. off (...): M as it counts, later (...): as it will in the next block.
+    (..., N): m. off (...): M as it counts, later (...): as it will in the next block. sums (...): v. q (...), q_later
+    (...): the correlation of all sensors together, likewise.
     """
 
     size: Array
@@ -78,6 +88,9 @@ class ReadingNoise(NamedTuple):
     level: Array
     off: Array
     later: Array
+    sums: Array
+    q: Array
+    q_later: Array
 
 
 def nothing_shown(batch: tuple[int, ...], sensors: int) -> ReadingNoise:
@@ -94,6 +107,9 @@ def nothing_shown(batch: tuple[int, ...], sensors: int) -> ReadingNoise:
         np.zeros(shape),
         np.zeros(batch),
         np.zeros(batch),
+        np.ones(batch),
+        np.full(batch, SUPPOSED),
+        np.full(batch, SUPPOSED),
     )
 
 
@@ -144,10 +160,19 @@ def median(values: Array, room: Array) -> float:
     return float(room[(N - 1) // 2] + room[N // 2]) / 2
 
 
+@compiled
+def mean(values: Array) -> float:
+    """The mean of values (N,); np.mean takes longer to compile."""
+    total = 0.0
+    for i in range(values.size):
+        total += values[i]
+    return float(total / values.size)
+
+
 @python_first
 def _learnt(larger: float, u: Array, w: Array, used: Array, where: Array, now: ReadingNoise) -> None:
     """The same of B runs, written into what is known. larger: see `larger_from`."""
-    size, common, spread, last, own, every, samples, level, off, later = now
+    size, common, spread, last, own, every, samples, level, off, later, _, slow, slow_later = now
     B, N = u.shape
     side, squares, room = np.empty(N), np.empty(N), np.empty(N)
     for r in range(B):
@@ -182,11 +207,55 @@ def _learnt(larger: float, u: Array, w: Array, used: Array, where: Array, now: R
             seen = samples[r] - WEIGHT
             if seen <= BLOCK or seen % BLOCK == 0:
                 q = common_correlation(own[r], every[r])
+                slow[r] = q if seen <= BLOCK else slow_later[r]
+                slow_later[r] = q
                 n = min(seen, 2 * LEVEL - 1)  # a running mean of white noise varies by 1 / (2 LEVEL - 1) in the end
                 chance = (1 + CHANCE_LEVEL / np.sqrt(N)) * median(spread[r], room) * inflation(n, q) / n
                 found = max(median(squares, room) / MEDIAN - chance, 0.0)
                 off[r] = found if seen <= BLOCK else later[r]
                 later[r] = found
+
+
+def with_sums(now: ReadingNoise, window: Weighed, used: Array, stated: Array, where: Array) -> ReadingNoise:
+    """With the sums of a window, in runs `where` (...) holds, of sensors that are used (..., N). stated: of `inflation_of`."""
+    sums = np.array(now.sums, order="C")
+    a, b, age, used, where = map(contiguous, (window.a, window.b, window.age, used, where))
+    own, every, spread, off, samples = map(contiguous, (now.own, now.every, now.spread, now.off, now.samples))
+    _with_sums(a, b, age, used, where, own, every, spread, off, samples, stated, sums)
+    return now._replace(sums=sums)
+
+
+@python_first
+def _with_sums(
+    a: Array, b: Array, age: Array, used: Array, where: Array, own: Array, every: Array, spread: Array, off: Array,
+    samples: Array, stated: Array, sums: Array,
+) -> None:  # fmt: skip
+    """The same of B runs, written into sums (B,)."""
+    (B, L), N = age.shape, own.shape[1]
+    for r in range(B):
+        total, number = 0.0, 0
+        if where[r]:
+            together = common_correlation(own[r], every[r])
+            for l in range(L):  # noqa: E741
+                n = age[r, l]
+                if n >= LONG:
+                    least = stated[min(int(n), len(stated) - 1)]
+                    shared = max(inflation(n, together), mean(least))
+                    for i in range(N):
+                        if used[r, i] and b[r, l, i] > 0:
+                            c = varied(n, correlation(own[r, i]), together, shared, least[i], spread[r, i], off[r])
+                            total += min(a[r, l, i] ** 2 / (b[r, l, i] * c), CUT)
+                            number += 1
+        if number:
+            step = (total / (number * CUT_MEAN) - sums[r]) / min(samples[r] + EXPECTED, SUMS)
+            sums[r] = min(max(sums[r] + step, SMALLEST), 1.0)
+
+
+@part
+def varied(n: float, q: float, together: float, shared: float, least: float, spread: float, off: float) -> float:
+    """By how much the sums of a sensor over n samples vary more than those of white noise, before v counts."""
+    alone = inflation(n, q) if q > max(together, CHANCE) else shared
+    return float(max(alone, least) * spread + n * off)
 
 
 def is_larger(now: ReadingNoise) -> Array:
@@ -201,12 +270,15 @@ def inflation_of(now: ReadingNoise, age: Array, stated: Array) -> Inflation:
     by its own, where that is more, and by what the model is off; at least by the slow noise that sensors state, together by its
     mean. stated (M, N): what that is of sums over 0 to M - 1 samples, see `plant.slow_noise`; longer ones count as M - 1.
     """
-    age, own, every, spread, off = map(contiguous, (age, now.own, now.every, now.spread, now.off))
-    return Inflation(*_inflation(age, own, every, spread, off, stated))
+    age, own, every, spread = map(contiguous, (age, now.own, now.every, now.spread))
+    off, sums, slow = map(contiguous, (now.off, now.sums, now.q))
+    return Inflation(*_inflation(age, own, every, spread, off, sums, slow, stated))
 
 
 @python_first
-def _inflation(age: Array, own: Array, every: Array, spread: Array, off: Array, stated: Array) -> tuple[Array, Array]:
+def _inflation(
+    age: Array, own: Array, every: Array, spread: Array, off: Array, sums: Array, slow: Array, stated: Array
+) -> tuple[Array, Array]:
     """The same of B runs: common (B, L), own (B, L, N)."""
     (B, L), N = age.shape, own.shape[1]
     common, each, room = np.empty((B, L)), np.empty((B, L, N)), np.empty(N)
@@ -216,15 +288,13 @@ def _inflation(age: Array, own: Array, every: Array, spread: Array, off: Array, 
         for l in range(L):  # noqa: E741
             n = max(age[r, l], 1.0)
             least = stated[min(int(n), len(stated) - 1)]
-            total = 0.0
+            usual_least = mean(least)
+            shared = max(inflation(n, together), usual_least)
+            between = max(inflation(n, min(together, slow[r])), usual_least)
+            common[r, l] = max(sums[r] * between, usual_least) * usual
             for i in range(N):
-                total += least[i]
-            shared = max(inflation(n, together), total / N)
-            common[r, l] = shared * usual
-            for i in range(N):
-                q = correlation(own[r, i])
-                alone = inflation(n, q) if q > max(together, CHANCE) else shared
-                each[r, l, i] = max(alone, least[i]) * spread[r, i] + n * off[r]
+                c = varied(n, correlation(own[r, i]), together, shared, least[i], spread[r, i], off[r])
+                each[r, l, i] = max(sums[r] * c, least[i] * spread[r, i] + n * off[r])
     return common, each
 
 

@@ -89,6 +89,7 @@ from fusion_sfdia.detectors.kalman_banks.reading_noise import (
     larger_from,
     learnt,
     unclipped,
+    with_sums,
 )
 from fusion_sfdia.detectors.kalman_banks.robust_memory import RobustMemory, empty_memory, faded, leaves_unexplained
 from fusion_sfdia.detectors.kalman_banks.standing import Standing, added_noise, followed, nothing, sizes, with_accepted
@@ -384,7 +385,8 @@ class RobustBank(ExcludingBank):
         variance = np.diagonal(p, axis1=-2, axis2=-1)[..., own]
         standing = followed(standing, x[..., own], variance)
         out_for = np.where(exclusion.out, out_for + 1, 0.0)
-        noise = learnt(noise, everything, ~stands & (not begins or now.k > LEARNT_AGAIN[-1]))
+        learns = ~stands & (not begins or now.k > LEARNT_AGAIN[-1])
+        noise = learnt(with_sums(noise, weighed[0], usable, self._stated_inflation, learns), everything, learns)
         before = np.diagonal(prior.core.P, axis1=-2, axis2=-1)[..., own]
         walk = walked(walk, x[..., own] - prior.core.x[..., own], before - variance, ~stands & (not begins))
         after = RobustMemory(
