@@ -698,15 +698,39 @@ MUTANTS = (
     ),
     Mutant(
         "fusion_sfdia/detectors/kalman_banks/reading_noise.py",
-        "common[r, l] = shared * usual",
-        "common[r, l] = usual",
+        "max(sums[r] * between, np.mean(least)) * usual",
+        "np.mean(least) * usual",
         "tests/detectors/kalman_banks/test_reading_noise.py::test_before_any_reading_noise_is_supposed_to_be_correlated_by_four_fifths",
     ),
     Mutant(
         "fusion_sfdia/detectors/kalman_banks/reading_noise.py",
-        "max(alone, least[i]) * spread[r, i]",
-        "max(alone, least[i])",
+        "max(alone, least) * spread +",
+        "max(alone, least) +",
         "tests/detectors/kalman_banks/test_reading_noise.py::test_sums_vary_as_those_of_noise_with_its_size_and_correlation",
+    ),
+    Mutant(
+        "fusion_sfdia/detectors/kalman_banks/reading_noise.py",
+        "SMALLEST = 0.4",
+        "SMALLEST = 0.0",
+        "tests/detectors/kalman_banks/test_reading_noise.py::test_sums_are_never_taken_to_vary_more_than_expected_or_far_less",
+    ),
+    Mutant(
+        "fusion_sfdia/detectors/kalman_banks/reading_noise.py",
+        "max(sums[r] * c, least[i] * spread[r, i] + n * off[r])",
+        "sums[r] * c",
+        "tests/detectors/kalman_banks/test_reading_noise.py::test_sums_that_vary_less_count_as_that_but_not_as_less_than_white_or_stated_noise",
+    ),
+    Mutant(
+        "fusion_sfdia/detectors/kalman_banks/reading_noise.py",
+        "slow[r] = q if seen <= BLOCK else slow_later[r]",
+        "slow[r] = q",
+        "tests/detectors/kalman_banks/test_reading_noise.py::test_correlation_that_rises_counts_for_the_process_a_block_later_and_one_that_falls_at_once",
+    ),
+    Mutant(
+        "fusion_sfdia/detectors/kalman_banks/reading_noise.py",
+        "total / (number * CUT_MEAN) - sums[r]",
+        "total / number - sums[r]",
+        "tests/detectors/kalman_banks/test_reading_noise.py::test_sums_that_vary_less_than_expected_are_followed",
     ),
     Mutant(
         "fusion_sfdia/detectors/kalman_banks/reading_noise.py",

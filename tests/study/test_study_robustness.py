@@ -130,7 +130,7 @@ def test_the_page_is_made_of_rows_of_several_files(root: Path, tmp_path: Path, m
 def test_the_page_on_wrong_models_is_that_of_its_numbers(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(root / "docs" / "results"))
     page = importlib.import_module("robustness")
-    assert page.render(page.load([page.NUMBERS])) == page.PAGE.read_text(encoding="utf-8")
+    assert page.render(page.load([page.NUMBERS]), page.read_rows(page.LIMITS)) == page.PAGE.read_text(encoding="utf-8")
 
 
 def test_every_row_of_a_result_is_kept() -> None:

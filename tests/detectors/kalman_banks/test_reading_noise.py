@@ -14,6 +14,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2, norm
 
 from fusion_sfdia.detectors.kalman_banks.leave_one_out import LeaveOneOut, statistics
+from fusion_sfdia.detectors.kalman_banks.likelihood_window import Weighed
 from fusion_sfdia.detectors.kalman_banks.reading_noise import (
     BLOCK,
     CUT,
@@ -27,6 +28,7 @@ from fusion_sfdia.detectors.kalman_banks.reading_noise import (
     learnt,
     nothing_shown,
     unclipped,
+    with_sums,
 )
 from fusion_sfdia.plant.slow_noise import inflation_of as inflation_of_share
 
@@ -193,6 +195,62 @@ def test_sums_vary_at_least_as_slow_noise_that_is_stated() -> None:
     np.testing.assert_allclose(found.common[0], np.maximum(shown, (of_slow + 2) / 3), rtol=near)
     np.testing.assert_allclose(found.own[0, :, 0], np.maximum(of_slow, shown), rtol=near)
     np.testing.assert_allclose(found.own[0, :, 2], alone, rtol=near)
+
+
+def sums_of(variance: float, steps: int = 1500) -> Array:
+    """v of runs whose sums have that variance over what is expected: of 3 sensors over 4, 10 and 20 samples, white noise."""
+    rng, white = np.random.default_rng(10), mean_of_cut(1.0)
+    now = nothing_shown((RUNS,), 3)._replace(
+        own=np.full((RUNS, 3), white), every=np.full(RUNS, white), samples=np.full(RUNS, 300.0)
+    )
+    age, b = np.tile([4.0, 10.0, 20.0], (RUNS, 1)), np.full((RUNS, 3, 3), 7.0)
+    used, every = np.ones((RUNS, 3), bool), np.ones(RUNS, bool)
+    for _ in range(steps):
+        a = np.sqrt(variance * b) * rng.standard_normal(b.shape)
+        a[:, 0] *= 1000  # over few samples: not followed
+        now = with_sums(now, Weighed(a, a, a, b, age, a), used, WHITE, every)
+    return now.sums
+
+
+def test_sums_that_vary_less_than_expected_are_followed() -> None:
+    found = sums_of(0.6)
+    assert abs(found.mean() - mean_of_cut(0.6) / mean_of_cut(1.0)) < 4 * found.std() / np.sqrt(RUNS) + 0.005
+
+
+def test_sums_are_never_taken_to_vary_more_than_expected_or_far_less() -> None:
+    least = sums_of(0.1, 400)
+    assert np.all(least >= 0.4) and np.mean(least == 0.4) > 0.5
+    assert np.all(sums_of(30.0, 100) == 1.0)
+
+
+def test_sums_that_vary_less_count_as_that_but_not_as_less_than_white_or_stated_noise() -> None:
+    age, white = np.array([[1.0, 5.0, 30.0]]), mean_of_cut(1.0)
+    now = nothing_shown((1,), 3)._replace(own=np.full((1, 3), white), every=np.array([white * 0.7]), sums=np.array([0.6]))
+    shared = np.array([variance_of_sum(int(n), 0.3) for n in age[0]])
+    found = inflation_of(now, age, WHITE)
+    np.testing.assert_allclose(found.common[0], np.maximum(0.6 * shared, 1.0), rtol=1e-5)
+    np.testing.assert_allclose(found.own[0, :, 1], np.maximum(0.6 * shared, 1.0), rtol=1e-5)
+    stated = np.full((100, 3), 1.5)
+    found = inflation_of(now._replace(off=np.array([0.1])), age, stated)
+    np.testing.assert_allclose(found.common[0], np.maximum(0.6 * shared, 1.5), rtol=1e-5)
+    whole = np.maximum(shared, 1.5) + 0.1 * age[0]
+    np.testing.assert_allclose(found.own[0, :, 1], np.maximum(0.6 * whole, 1.5 + 0.1 * age[0]), rtol=1e-5)
+
+
+def test_correlation_that_rises_counts_for_the_process_a_block_later_and_one_that_falls_at_once() -> None:
+    rng, age = np.random.default_rng(11), np.array([[10.0]])
+    slow = lfilter([0.6], [1.0, -0.8], rng.standard_normal((7 * BLOCK, 1, 8)), axis=0)
+    white = rng.standard_normal((12 * BLOCK, 1, 8))
+    known = after(white)
+    within, before = (inflation_of(now, age, WHITE) for now in (after(slow[:BLOCK], known), known))
+    usual = after(slow[:BLOCK], known).spread.mean() / known.spread.mean()
+    assert within.own.mean() > 1.4 * before.own.mean()
+    assert within.common[0, 0] < 1.3 * usual * before.common[0, 0]
+    later = after(slow, known)
+    found = inflation_of(later, age, WHITE)
+    assert found.common[0, 0] > 2 * before.common[0, 0]
+    again = inflation_of(after(white[: 4 * BLOCK - 2], later), age, WHITE)
+    assert again.common[0, 0] <= np.median(again.own) * (1 + 1e-12)
 
 
 def test_correlations_are_believed_from_white_to_nearly_constant() -> None:
