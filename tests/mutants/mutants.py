@@ -698,7 +698,7 @@ MUTANTS = (
     ),
     Mutant(
         "fusion_sfdia/detectors/kalman_banks/reading_noise.py",
-        "max(sums[r] * between, np.mean(least)) * usual",
+        "max(v * between, np.mean(least)) * usual",
         "np.mean(least) * usual",
         "tests/detectors/kalman_banks/test_reading_noise.py::test_before_any_reading_noise_is_supposed_to_be_correlated_by_four_fifths",
     ),
@@ -716,8 +716,8 @@ MUTANTS = (
     ),
     Mutant(
         "fusion_sfdia/detectors/kalman_banks/reading_noise.py",
-        "max(sums[r] * c, least[i] * spread[r, i] + n * off[r])",
-        "sums[r] * c",
+        "max(v * c, least[i] * spread[r, i] + n * off[r])",
+        "v * c",
         "tests/detectors/kalman_banks/test_reading_noise.py::test_sums_that_vary_less_count_as_that_but_not_as_less_than_white_or_stated_noise",
     ),
     Mutant(

@@ -21,9 +21,9 @@ the model and the stated noise are right. Five things are followed, all so that 
 A sum over n samples of noise with the correlation q from each sample to the next varies c(n, q) times as much as one of white
 noise, see `plant.slow_noise`, and where levels vary by M from sensor to sensor the square of the sum grows by n^2 M, its
 variance over that of white noise by n M. Where a sensor states slow noise (`SlowNoise`), of the share s and the correlation q
-from sample to sample, sums vary at least 1 + s (c(n, q) - 1) times as much. The statistics of windows are divided by v times
-all that, but by no less than for white noise or for the noise that is stated, those of the process without M: all sensors
-together show it.
+from sample to sample, sums vary at least 1 + s (c(n, q) - 1) times as much. The statistics of windows are divided by all that,
+from LONG samples on by v times it, but by no less than for white noise or for the noise that is stated, those of the process
+without M: all sensors together show it.
 """
 
 from __future__ import annotations
@@ -291,10 +291,11 @@ def _inflation(
             usual_least = mean(least)
             shared = max(inflation(n, together), usual_least)
             between = max(inflation(n, min(together, slow[r])), usual_least)
-            common[r, l] = max(sums[r] * between, usual_least) * usual
+            v = sums[r] if n >= LONG else 1.0
+            common[r, l] = max(v * between, usual_least) * usual
             for i in range(N):
                 c = varied(n, correlation(own[r, i]), together, shared, least[i], spread[r, i], off[r])
-                each[r, l, i] = max(sums[r] * c, least[i] * spread[r, i] + n * off[r])
+                each[r, l, i] = max(v * c, least[i] * spread[r, i] + n * off[r])
     return common, each
 
 

@@ -227,14 +227,15 @@ def test_sums_that_vary_less_count_as_that_but_not_as_less_than_white_or_stated_
     age, white = np.array([[1.0, 5.0, 30.0]]), mean_of_cut(1.0)
     now = nothing_shown((1,), 3)._replace(own=np.full((1, 3), white), every=np.array([white * 0.7]), sums=np.array([0.6]))
     shared = np.array([variance_of_sum(int(n), 0.3) for n in age[0]])
+    v = np.array([1.0, 1.0, 0.6])  # of sums over 8 samples and more
     found = inflation_of(now, age, WHITE)
-    np.testing.assert_allclose(found.common[0], np.maximum(0.6 * shared, 1.0), rtol=1e-5)
-    np.testing.assert_allclose(found.own[0, :, 1], np.maximum(0.6 * shared, 1.0), rtol=1e-5)
+    np.testing.assert_allclose(found.common[0], np.maximum(v * shared, 1.0), rtol=1e-5)
+    np.testing.assert_allclose(found.own[0, :, 1], np.maximum(v * shared, 1.0), rtol=1e-5)
     stated = np.full((100, 3), 1.5)
     found = inflation_of(now._replace(off=np.array([0.1])), age, stated)
-    np.testing.assert_allclose(found.common[0], np.maximum(0.6 * shared, 1.5), rtol=1e-5)
+    np.testing.assert_allclose(found.common[0], np.maximum(v * shared, 1.5), rtol=1e-5)
     whole = np.maximum(shared, 1.5) + 0.1 * age[0]
-    np.testing.assert_allclose(found.own[0, :, 1], np.maximum(0.6 * whole, 1.5 + 0.1 * age[0]), rtol=1e-5)
+    np.testing.assert_allclose(found.own[0, :, 1], np.maximum(v * whole, 1.5 + 0.1 * age[0]), rtol=1e-5)
 
 
 def test_correlation_that_rises_counts_for_the_process_a_block_later_and_one_that_falls_at_once() -> None:
