@@ -20,7 +20,7 @@ from fusion_sfdia.study.experiments.scenario import Arrays, Task
 from fusion_sfdia.study.experiments.workers import timed
 from fusion_sfdia.study.scenarios import GROUPS, SCENARIOS, scenario
 
-NAMES = [name for name in SCENARIOS if name not in ("comparison", "robustness")]  # they have tests of their own
+NAMES = [name for name in SCENARIOS if name not in ("comparison", "robustness", "acceptance")]  # they have tests of their own
 PLANTS = {
     "pipeline": "gas-pipeline", "engine": "marine-engine", "network": "power-network", "chemical": "tennessee-eastman",
 }  # fmt: skip

@@ -35,8 +35,8 @@ NOT_NUMERICAL = (
     "test_real_logs_scores.py",
     "test_registry.py", "test_report.py", "test_report_browser.py", "test_results_pages.py", "test_row_order.py",
     "test_sample_tables.py", "test_second_look.py", "test_site.py", "test_site_examples.py", "test_slow_sensors.py",
-    "test_storage.py", "test_study_after_tuning.py", "test_study_audit.py", "test_study_errors.py", "test_study_robustness.py",
-    "test_valve_log.py", "test_watch.py", "test_watch_states.py",
+    "test_storage.py", "test_study_acceptance.py", "test_study_after_tuning.py", "test_study_audit.py", "test_study_errors.py",
+    "test_study_robustness.py", "test_valve_log.py", "test_watch.py", "test_watch_states.py",
 )  # fmt: skip
 # The contract on the two largest plants takes as long as all else, that of slow references nearly so; their numbers are in the
 # tests of the plants and of the filters themselves.
