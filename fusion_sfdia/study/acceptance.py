@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fusion_sfdia
+from fusion_sfdia.common.references import load
 from fusion_sfdia.common.run_statistics import Estimate, rate_over_runs, share
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.detectors.detector import Detector, run
 from fusion_sfdia.detectors.registry import require_known
 from fusion_sfdia.learning.tuning.tune import tune
-from fusion_sfdia.models.two_tanks.plant import two_tanks
 from fusion_sfdia.plant.plant import Plant, Truth
 from fusion_sfdia.plant.signals import Sensor, Signal
 from fusion_sfdia.plant.uncertainty import Parameter, Uncertainty
@@ -203,7 +203,8 @@ def two_causes() -> Iterator[Case]:
 
 def widening(percent: int) -> Case:
     """Both outlets of the tanks widen within 300 rows."""
-    first, last = two_tanks(), two_tanks(outlet=1 + percent / 100)
+    make = load(registry.find_plant(TANKS).source)
+    first, last = make(), make(outlet=1 + percent / 100)
     drift = MismatchCase("", "", partial(trending, first, last, 300 * first.dt))
     return Case(OF_PLANT, f"outlets widen by {percent} %", "within 300 rows", stated=drift)
 
