@@ -698,8 +698,8 @@ MUTANTS = (
     ),
     Mutant(
         "fusion_sfdia/detectors/kalman_banks/reading_noise.py",
-        "max(v * between, np.mean(least)) * usual",
-        "np.mean(least) * usual",
+        "max(v * between, usual_least) * usual",
+        "usual_least * usual",
         "tests/detectors/kalman_banks/test_reading_noise.py::test_before_any_reading_noise_is_supposed_to_be_correlated_by_four_fifths",
     ),
     Mutant(
