@@ -239,18 +239,18 @@ def test_sums_that_vary_less_count_as_that_but_not_as_less_than_white_or_stated_
 
 
 def test_correlation_that_rises_counts_for_the_process_a_block_later_and_one_that_falls_at_once() -> None:
-    rng, age = np.random.default_rng(11), np.array([[10.0]])
+    rng, age, none = np.random.default_rng(11), np.array([[10.0]]), np.ones((100, 8))
     slow = lfilter([0.6], [1.0, -0.8], rng.standard_normal((7 * BLOCK, 1, 8)), axis=0)
     white = rng.standard_normal((12 * BLOCK, 1, 8))
     known = after(white)
-    within, before = (inflation_of(now, age, WHITE) for now in (after(slow[:BLOCK], known), known))
+    within, before = (inflation_of(now, age, none) for now in (after(slow[:BLOCK], known), known))
     usual = after(slow[:BLOCK], known).spread.mean() / known.spread.mean()
     assert within.own.mean() > 1.4 * before.own.mean()
     assert within.common[0, 0] < 1.3 * usual * before.common[0, 0]
     later = after(slow, known)
-    found = inflation_of(later, age, WHITE)
+    found = inflation_of(later, age, none)
     assert found.common[0, 0] > 2 * before.common[0, 0]
-    again = inflation_of(after(white[: 4 * BLOCK - 2], later), age, WHITE)
+    again = inflation_of(after(white[: 4 * BLOCK - 2], later), age, none)
     assert again.common[0, 0] <= np.median(again.own) * (1 + 1e-12)
 
 
