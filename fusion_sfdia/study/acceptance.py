@@ -353,6 +353,8 @@ def tasks(settings: Settings, seeds: int) -> list[Task]:
         for group in groups
         if group[0] in settings["items"] and group[1] in settings["plants"]
     ]
+    if (earlier := settings["earlier"]) and not os.path.isfile(os.path.join(earlier, "fusion_sfdia", "__init__.py")):
+        raise ValueError(f"earlier is {earlier!r:.80}; expected a folder with a checkout of another commit of fusion_sfdia")
     if "P7" in settings["items"] and settings["earlier"]:
         found += [{"item": "P7", "plant": p, "earlier": settings["earlier"]} for p in PLANTS if p in settings["plants"]]
     return found

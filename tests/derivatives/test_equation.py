@@ -106,6 +106,7 @@ def test_rows_of_a_batch_are_of_one_type_and_the_given_array_stays_writable(kind
 def test_a_loop_runs_as_python_first_and_is_compiled_once_it_has_taken_its_time(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    monkeypatch.setattr(AsPython, "patient", True)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path))
     clock = count(0.0, module.AS_PYTHON * 0.6)  # of which each call takes that share
