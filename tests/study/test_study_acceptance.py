@@ -169,6 +169,10 @@ def test_unknown_items_and_plants_are_refused(tmp_path: Path) -> None:
     for change in ({"items": "P10"}, {"plants": "two-tank"}):
         with pytest.raises(ValueError, match=r"known:|did you mean"):
             a.tasks(settings(**change), 2)
+    with pytest.raises(ValueError, match="expected a folder with a checkout"):
+        a.tasks(settings(earlier=str(tmp_path)), 2)
+    (tmp_path / "fusion_sfdia").mkdir()
+    (tmp_path / "fusion_sfdia" / "__init__.py").touch()
     assert [t["item"] for t in a.tasks(settings(items="P7", plants=a.TANKS, earlier=str(tmp_path)), 2)] == ["P7"]
 
 
