@@ -29,7 +29,7 @@ from fusion_sfdia.benchmarks.speed.support.counting import Products, count_matri
 CALL = "__call__"
 COUNTED = "_counted_number"  # the name of `_counted` in rewritten modules
 OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow)
-COMPILED = ("compiled", "equation")  # decorators of functions that are compiled
+COMPILED = ("compiled", "python_first", "part", "equation")  # decorators of functions that are compiled
 SINGLE, DOUBLE = 4, 8  # bytes of a number
 
 _operations: Counter[int] = Counter()  # by the bytes of a number; complex ones count as one of double precision
