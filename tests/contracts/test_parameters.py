@@ -6,7 +6,7 @@ import ast
 from pathlib import Path
 
 MOST = 8
-COMPILED = {"compiled", "equation"}  # numba takes arrays and floats faster than tuples of them
+COMPILED = {"compiled", "python_first", "equation"}  # numba takes arrays and floats faster than tuples of them
 
 
 def crowded(tree: ast.Module) -> list[str]:

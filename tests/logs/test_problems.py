@@ -50,7 +50,7 @@ def test_one_run_states_problems_of_every_kind(tmp_path: Path) -> None:
         "60,10,ERR,180,9,0",
         "180,10,1,18o,,0",
         "120,1o,1,180,,0",
-        "180,10,ERR,180,1,0",
+        "180,10,1,180,1,0",
     ]
     found = refused(tmp_path, lines)
     places = {(p.kind, p.row, p.column) for p in found}
