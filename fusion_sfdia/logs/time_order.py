@@ -78,9 +78,12 @@ def in_order(where: str, rows: LogRows, clock: Clock, log_map: LogMap, findings:
 
 
 def _are_parts(rows: LogRows) -> bool:
-    """Whether of sorted rows with one time each lacks the readings that the others have, as where each tag writes its own."""
+    """Whether sorted rows of one time have readings each, and none that another has, as where each tag writes its own."""
+    known = np.array([np.isfinite(v) for v in rows.values.values()]).reshape(-1, rows.t.size)
     first = np.flatnonzero(np.diff(rows.t, prepend=-np.inf) > 0)
-    return all(np.add.reduceat(np.isfinite(v), first, dtype=int).max() <= 1 for v in rows.values.values())
+    again = np.diff(rows.t, prepend=-np.inf) == 0
+    again[:-1] |= again[1:]
+    return bool(known[:, again].any(axis=0).all() and (np.add.reduceat(known, first, axis=1, dtype=int) <= 1).all())
 
 
 def _one_of_each_time(rows: LogRows, which: str) -> LogRows:
