@@ -43,6 +43,7 @@ def slowed(x):
 @pytest.fixture
 def laws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """Write a package of two files below a folder, with changes, and import its compiled loop."""
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", "")  # what NUMBA_CACHE_DIR names comes first
     monkeypatch.setattr(machine_code, "compiled_code_folder", lambda: tmp_path / "user cache")
 
     def loop(folder: str, *changes: tuple[str, str]) -> Any:
