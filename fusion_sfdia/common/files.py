@@ -109,7 +109,7 @@ def _held_temporary(folder: Path, make: Callable[[Path], None]) -> Iterator[Path
     while handle is None:  # a process that removes leftovers may take it before it is held
         temporary = folder / f"{TEMPORARY}{secrets.token_hex(8)}"
         make(temporary)
-        handle = _hold(temporary)
+        handle = hold(temporary)
     try:
         yield temporary
     finally:
@@ -123,14 +123,14 @@ def remove_leftovers(folder: Path) -> None:
         with suppress(OSError):  # gone meanwhile, or of another user
             if not stat.S_ISDIR(mode := path.lstat().st_mode) and not stat.S_ISREG(mode):
                 continue
-            if (handle := _hold(path, surely=True)) is not None:
+            if (handle := hold(path, surely=True)) is not None:
                 try:
                     shutil.rmtree(path) if stat.S_ISDIR(mode) else path.unlink()
                 finally:
                     os.close(handle)
 
 
-def _hold(path: Path, *, surely: bool = False) -> int | None:
+def hold(path: Path, *, surely: bool = False) -> int | None:
     """Hold a file or folder until the handle is closed or the process ends; None where another process does, or has removed it.
 
     surely: also None where there are no locks; otherwise the handle then holds nothing.
@@ -244,7 +244,7 @@ def _only_writer(lock: Path, held: Path, another: str) -> Iterator[None]:
     try:
         with suppress(FileExistsError):
             _make_file(lock)
-        handle = _hold(lock)
+        handle = hold(lock)
     except OSError as error:
         raise ValueError(f"cannot write into {lock.parent} ({error.strerror}); name another {another}") from error
     if handle is None:

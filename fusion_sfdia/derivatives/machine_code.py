@@ -19,10 +19,7 @@ from typing import Any
 
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
-from fusion_sfdia.common.files import compiled_code_folder
-
-if sys.platform != "win32":
-    import fcntl
+from fusion_sfdia.common.files import compiled_code_folder, hold
 
 LONGEST_WAIT = 20.0  # s, for what another process compiles, which takes a few
 
@@ -153,18 +150,11 @@ def text_hash(path: str) -> str:
 
 
 def _locked(path: str) -> int | None:
-    """The file, held until it is closed or the process ends; None where files have no locks, or another holds it too long."""
-    if sys.platform == "win32":
-        return None
-    handle, latest = os.open(path, os.O_RDWR | os.O_CREAT, 0o644), monotonic() + LONGEST_WAIT
+    """The file, held until it is closed or the process ends; None where another holds it too long."""
+    latest = monotonic() + LONGEST_WAIT
     while monotonic() < latest:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            sleep(0.01)
-        except OSError:  # of a disk without locks
-            break
-        else:
+        Path(path).touch()  # what compiled before has removed it
+        if (handle := hold(Path(path))) is not None:
             return handle
-    os.close(handle)
+        sleep(0.01)
     return None

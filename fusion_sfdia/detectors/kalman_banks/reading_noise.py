@@ -244,7 +244,7 @@ def _with_sums(
                     for i in range(N):
                         if used[r, i] and b[r, l, i] > 0:
                             c = varied(n, correlation(own[r, i]), together, shared, least[i], spread[r, i], off[r])
-                            total += min(a[r, l, i] ** 2 / (b[r, l, i] * c), CUT)
+                            total += min(a[r, l, i] * a[r, l, i] / (b[r, l, i] * c), CUT)
                             number += 1
         if number:
             step = (total / (number * CUT_MEAN) - sums[r]) / min(samples[r] + EXPECTED, SUMS)
