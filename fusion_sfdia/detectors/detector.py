@@ -31,8 +31,8 @@ class ProcessHypothesis(NamedTuple):
         Of its size.
     kind : str
         "parameter", "input" (a constant error of it), "state" (its equation errs), "disturbance", "unnamed" (something else of
-        the process, or several causes), "together" (readings that move as in no healthy log) or "outside" (operation as in
-        none).
+        the process, or several causes), "together" (readings that move as in no healthy log), "outside" (operation as in none)
+        or "since start" (the model has been wrong since the first sample).
     nominal : float
         The value of the model, in the unit; NaN where there is none.
 
@@ -52,7 +52,7 @@ class ProcessHypothesis(NamedTuple):
     @property
     def has_size(self) -> bool:
         """Whether an accepted one has a size, a difference from the model in its unit."""
-        return self.kind not in ("unnamed", "together", "outside")
+        return self.kind not in ("unnamed", "together", "outside", "since start")
 
 
 def require_no_cycles(plant: Plant, what: str) -> None:

@@ -107,6 +107,9 @@ def conclusion_of(decision: Decision, y: Array, tested: Sequence[ProcessHypothes
     if decision.isolated[y.size :].any():
         return Conclusion(Verdict.PROCESS)
     if decision.suspect is not None and decision.suspect.any():
+        suspects = [h for h, held in zip(tested, decision.suspect[-len(tested) :], strict=True) if held] if tested else []
+        if any(h.kind == "since start" for h in suspects):
+            return Conclusion(Verdict.UNDECIDED, "a sensor or the model has been wrong since the start")
         return Conclusion(Verdict.UNDECIDED, "several hypotheses explain an alarm")
     if np.any(decision.absurd_input):
         return Conclusion(Verdict.OUTSIDE, "an input is beyond the limits of its signal")

@@ -199,6 +199,9 @@ class Uncertainty:
         where it differs from that of the present value: a healthy log shows a value, not how far it may change.
     at_rest : bool, default False
         Whether x0 is a steady state under the usual input, which follows from the parameters and the inputs that act.
+    fits : bool, default False
+        Whether healthy readings of these sensors have shown that they fit the model. A constant error of a sensor is then its
+        fault, also since the first sample; without that the model may be wrong as well.
     rebuild : callable, optional
         The plant at other values, rebuild(**{parameter: value}), of any number of parameters; None where only step and output
         state them.
@@ -229,6 +232,7 @@ class Uncertainty:
     considered: tuple[str, ...] = ()
     changes: Mapping[str, float] = field(default_factory=dict)
     at_rest: bool = False
+    fits: bool = False
     rebuild: Callable[..., Any] | None = None
 
     def __post_init__(self) -> None:

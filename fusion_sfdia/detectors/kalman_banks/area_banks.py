@@ -120,7 +120,7 @@ class RobustAreas:
     >>> from fusion_sfdia.models.power_network.parameters import generate_network
     >>> banks = RobustAreas(local_areas(network_model(generate_network(6, seed=0))))
     >>> len(banks.sensors), len(banks.process_hypotheses)
-    (38, 62)
+    (38, 68)
     """
 
     areas: LocalAreas
@@ -140,12 +140,12 @@ class RobustAreas:
         found = [AreaBank(g.plant, usual=self.areas.inputs(g, *rest), **self.settings) for g in self.areas.groups]
         each = list(zip(self.areas.groups, found, strict=True))
         sensors = sum(len(g.areas) * len(b.plant.sensors) for g, b in each)
-        process = sum(len(g.areas) * len(b.process_hypotheses) for g, b in each)
+        process = sum(len(g.areas) * len(b.model.states) for g, b in each)
         return tuple(
             replace(
                 b,
                 false_alarm=self.false_alarm * len(b.plant.sensors) / sensors,
-                process_false_alarm=self.process_false_alarm * len(b.process_hypotheses) / process,
+                process_false_alarm=self.process_false_alarm * len(b.model.states) / process,
             )
             for b in found
         )

@@ -13,6 +13,8 @@ The central filter estimates what the plant declares as unknown (`plant.augment`
 - What readings show of their noise, its size, correlation and outliers, scales all evidence (`reading_noise`); parameters that
   keep moving to one side are allowed to (`parameter_walk`).
 - Where something is uncertain, the first `START` samples give no verdict.
+- Where a sensor's readings have not ruled out before that its fault was there since the first sample, it is left out, and a
+  suspect beside the model (`since_start`); isolated where the model is known to fit.
 - Otherwise an alarm is undecided, and its suspects are reported.
 - A sensor whose readings are too quiet is isolated, too (`quiet`).
 - While a verdict stands a second filter looks at it again: it readmits sensors, raises doubt, or finds that two sensors failed
@@ -92,6 +94,7 @@ from fusion_sfdia.detectors.kalman_banks.reading_noise import (
     with_sums,
 )
 from fusion_sfdia.detectors.kalman_banks.robust_memory import RobustMemory, empty_memory, faded, leaves_unexplained
+from fusion_sfdia.detectors.kalman_banks.since_start import SINCE_START, RuledOut, seen_again
 from fusion_sfdia.detectors.kalman_banks.standing import Standing, added_noise, followed, nothing, sizes, with_accepted
 from fusion_sfdia.detectors.kalman_banks.steady_gains import (
     Gains,
@@ -121,6 +124,7 @@ FOLLOWED = 0.4  # least share of an innovation that the estimate follows, for a 
 FAR_SQUARE = 20.0  # chi-square of a reading that is far off, as outliers are
 USUAL_SQUARE = 6.6  # chi-square below which a reading is as expected (0.99)
 START = 32  # samples without a verdict where something is uncertain
+CALM = 0.5  # of its limit, in which a statistic shows no sign of an alarm
 LEARNT_AGAIN = (8, 16)  # samples before which what is uncertain gets its prior spread again, linearised at a better estimate
 USUAL = 1.0  # of the prior standard deviation of a parameter or input: so much is no change of the process
 
@@ -200,7 +204,12 @@ class RobustBank(ExcludingBank):
     @property
     def process_hypotheses(self) -> tuple[ProcessHypothesis, ...]:
         """What of the plant may differ from the model, in the order of `Decision.process`."""
-        return self._hypotheses.process
+        return (*self._hypotheses.process, *((SINCE_START,) if self._needs_earlier else ()))
+
+    @cached_property
+    def _needs_earlier(self) -> bool:
+        """Whether a fault is that of a sensor only where readings have ruled it out before: see `since_start`."""
+        return bool(self._hypotheses.added) and not self.plant.uncertainty.fits
 
     @cached_property
     def _grids(self) -> tuple[OnsetGrid, OnsetGrid]:
@@ -223,7 +232,7 @@ class RobustBank(ExcludingBank):
         """Quantiles of normal variables, shared by sensors or process hypotheses and by the onsets."""
         scale, onsets = self.threshold_scale, sum(grid.slots for grid in self._grids)
         half = (1 - QUIET_SHARE) * self.false_alarm / 2 / len(self.plant.sensors)
-        shares = (half, half / onsets, self.process_false_alarm / len(self.process_hypotheses) / onsets)
+        shares = (half, half / onsets, self.process_false_alarm / len(self._hypotheses.process) / onsets)
         one, window, process = (float((scale * ndtri(s / 2)) ** 2) for s in shares)
         of, none = self._hypotheses, np.zeros(len(self.plant.states))
         smallest = np.concatenate([self.smallest * self.plant.sensor_sigma, USUAL * of.sd, none])
@@ -268,8 +277,8 @@ class RobustBank(ExcludingBank):
         """A step, at rest where gains are given, and the runs (...) in which that suffices: gains are those of the step, and
         neither the sample nor the windows isolate or accept anything.
         """
-        estimate, exclusion, out_for, led, usual, proposed, since_far, *windows, last, standing, pairs = memory[:-5]
-        nis, noise, walk, look, steady = memory[-5:]
+        estimate, exclusion, out_for, led, usual, proposed, since_far, *windows, last, standing, pairs = memory[:-6]
+        nis, noise, walk, look, ruled_out, steady = memory[-6:]
         of, count = self._hypotheses, y.shape[-1]
         stands = np.asarray(standing.accepted.any(axis=-1))
         begins = of.added > 0 and now.k <= START  # no verdict before what is uncertain has been learnt
@@ -348,6 +357,11 @@ class RobustBank(ExcludingBank):
             if restart.any() or (self.accommodate and waits.any()):
                 used = statistics(joint, y, usable & ~isolated & ~waits)
                 found = unclipped(clipped(used, spread), used, whole).found
+        if self._needs_earlier and not begins:
+            since = self._since_start(isolated, by_windows, ruled_out, everything, evidence)
+            calm = ~stands & (evidence.statistic_p < limits.process * CALM).all(axis=-1)
+            fits = usable & (evidence.statistic_s < limits.window * CALM) & calm[..., None]
+            ruled_out = seen_again(ruled_out, weighed[0], inflations[0], fits)._replace(unclear=ruled_out.unclear | since)
         if begins and now.k == LEARNT_AGAIN[-1]:
             restart = np.ones(stands.shape, bool)
         capped = capped & ~unexplained & (not begins)
@@ -381,6 +395,7 @@ class RobustBank(ExcludingBank):
         if begins:
             shown = shown._replace(threshold=np.full(y.shape, np.inf))
         exclusion, decision = self._conclude(now, y, u, exclusion, update, shown)
+        ruled_out = ruled_out._replace(unclear=ruled_out.unclear & exclusion.out)
         own = slice(len(self.plant.states), None)
         variance = np.diagonal(p, axis1=-2, axis2=-1)[..., own]
         standing = followed(standing, x[..., own], variance)
@@ -391,16 +406,17 @@ class RobustBank(ExcludingBank):
         walk = walked(walk, x[..., own] - prior.core.x[..., own], before - variance, ~stands & (not begins))
         after = RobustMemory(
             GaussianState(x, p), exclusion, out_for, led, usual, proposed, since_far, recent, slow, last, standing, pairs,
-            faded(nis, everything), noise, walk, look, steady,
+            faded(nis, everything), noise, walk, look, ruled_out, steady,
         )  # fmt: skip
         if self.accommodate:
             after = self._with_look(memory, after, now, y, u, quiet)
-        doubt = after.look.doubt
+        doubt = after.look.doubt | after.ruled_out.unclear
         if doubt.any():
             decision = replace(
                 decision, isolated=decision.isolated & ~doubt, fault_size=np.where(doubt, np.nan, decision.fault_size)
             )
-        undecided = (decision.score > 1) & ~decision.isolated.any(axis=-1) & ~process
+        accounted = np.any(decision.isolated | after.ruled_out.unclear, axis=-1)
+        undecided = (decision.score > 1) & ~accounted & ~process
         evidence = of_runs(np.any(isolated, axis=-1), of_whole, evidence)
         return rests, (after, self._with_process(decision, evidence, after, undecided, (x[..., own], variance)))
 
@@ -486,6 +502,17 @@ class RobustBank(ExcludingBank):
         """Whether the estimate follows so much of an innovation of a sensor (..., N) that one outlier moves it visibly."""
         return np.asarray(usable & (1 - found.weight * self.plant.sensor_sigma**2 > FOLLOWED))
 
+    def _since_start(
+        self, isolated: Array, by_windows: Accepted, ruled_out: RuledOut, found: LeaveOneOut, evidence: Evidence
+    ) -> Array:
+        """The sensors isolated now (..., N), by sample or windows, whose fault may have been there since the first one."""
+        if not (self._needs_earlier and isolated.any()):
+            return np.zeros(isolated.shape, bool)
+        named = by_windows.is_sensor[..., None] & one_hot(by_windows.sensor, isolated.shape[-1])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            size = np.where(named, evidence.level[..., : isolated.shape[-1]], found.whitened / found.weight)
+        return isolated & ruled_out.allows(size)
+
     def _is_spike(self, tested: Tested, sensor: Array, usual: Array, follows: Array) -> Array:
         """Whether a sensor (...) had an outlier: its onset is at most `BRIEF` samples ago, and its present reading as expected.
 
@@ -566,11 +593,18 @@ class RobustBank(ExcludingBank):
         nominal = self._hypotheses.model.x0[n:]
         size, sd = sizes(now.standing, z - nominal, variance)
         suspect = suspects(evidence, undecided, self.process_margin)
-        suspect[..., : now.led.shape[-1]] |= undecided[..., None] & now.look.doubt
+        suspect[..., : now.led.shape[-1]] |= (undecided[..., None] & now.look.doubt) | now.ruled_out.unclear
+        process, probability = now.standing.accepted, evidence.probability
+        if self._needs_earlier:
+            more = now.ruled_out.unclear.any(axis=-1, keepdims=True)
+            none, unknown = np.zeros_like(more), np.full(more.shape, np.nan)
+            process, suspect = np.concatenate([process, none], axis=-1), np.concatenate([suspect, more], axis=-1)
+            size, sd, probability = (
+                np.concatenate([a, b], axis=-1) for a, b in ((size, unknown), (sd, unknown), (probability, 0.0 * more))
+            )
         assert decision.covariance is not None
         found = {
             "estimate": decision.estimate[..., :n], "covariance": decision.covariance[..., :n, :n],
-            "process": now.standing.accepted, "process_size": size, "process_sd": sd,
-            "suspect": suspect, "probability": evidence.probability,
+            "process": process, "process_size": size, "process_sd": sd, "suspect": suspect, "probability": probability,
         }  # fmt: skip
         return Decision(**{**vars(decision), **found})

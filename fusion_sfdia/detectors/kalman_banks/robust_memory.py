@@ -16,6 +16,7 @@ from fusion_sfdia.detectors.kalman_banks.likelihood_window import OnsetGrid, Win
 from fusion_sfdia.detectors.kalman_banks.parameter_walk import Walk, no_walk
 from fusion_sfdia.detectors.kalman_banks.quiet import Pairs, no_pairs
 from fusion_sfdia.detectors.kalman_banks.reading_noise import ReadingNoise, nothing_shown
+from fusion_sfdia.detectors.kalman_banks.since_start import RuledOut, nothing_ruled_out
 from fusion_sfdia.detectors.kalman_banks.standing import Standing, nothing
 from fusion_sfdia.detectors.kalman_banks.window_step import LastUpdate, no_update
 from fusion_sfdia.filters.estimators import GaussianState
@@ -52,6 +53,7 @@ class RobustMemory(NamedTuple):
     noise: ReadingNoise
     walk: Walk
     look: Look
+    ruled_out: RuledOut
     steady: Any  # Steady, or ()
 
     def restarted(self, estimate: GaussianState, where: Array) -> RobustMemory:
@@ -83,6 +85,7 @@ def empty_memory(
         nothing_shown(batch, count),
         no_walk(batch, p),
         no_look(estimate, batch, count, p),
+        nothing_ruled_out(batch, count),
         steady,
     )
 

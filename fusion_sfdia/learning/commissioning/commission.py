@@ -36,7 +36,7 @@ from fusion_sfdia.learning.commissioning.refusals import (
     require_no_sensor,
     require_readings,
 )
-from fusion_sfdia.learning.commissioning.start import Start, first_error, first_state, with_start
+from fusion_sfdia.learning.commissioning.start import Start, first_error, first_state, seen_to_fit, with_start
 from fusion_sfdia.learning.innovations import FilterScore, coloured, fitted, settling
 from fusion_sfdia.logs.log_forms import as_log
 from fusion_sfdia.plant.augment import fixed
@@ -192,7 +192,7 @@ class Commissioning(NamedTuple):
         result = with_slow_noise(result, fitted(result, log).single[settled])
         halfway = [with_slow_noise(p, f.single[half]) for p, f, half in zip(halfway, now, halves, strict=True)]
         return cls(
-            result, settle, before, _held_out(now, halves), kept, parameters, disturbances, noise, start,
+            seen_to_fit(result), settle, before, _held_out(now, halves), kept, parameters, disturbances, noise, start,
             first_error(result, log), middle, (halfway[0], halfway[1]), (now[0], now[1]),
         )  # fmt: skip
 

@@ -35,6 +35,11 @@ def with_start(plant: Plant, start: Start) -> Plant:
     return replace(plant, x0=start.x0, initial_cov=cov)
 
 
+def seen_to_fit(plant: Plant) -> Plant:
+    """The plant whose sensors have been seen to fit it, see `Uncertainty.fits`."""
+    return replace(plant, uncertainty=replace(plant.uncertainty, fits=True))
+
+
 def first_state(plant: Plant, log: Log) -> Start | None:
     """The mean and variance of the states that a log of runs begins with; None where the plant's own x0 fits them.
 

@@ -33,6 +33,7 @@ from fusion_sfdia.filters.estimators import GaussianState
 from fusion_sfdia.filters.gaussian import dense
 from fusion_sfdia.learning.commissioning.commission import as_runs
 from fusion_sfdia.learning.commissioning.parameters import at, declared
+from fusion_sfdia.learning.commissioning.start import seen_to_fit
 from fusion_sfdia.learning.frozen_model.commissioned_model import stretches
 from fusion_sfdia.learning.frozen_model.frozen_bank import (
     FADES,
@@ -79,7 +80,7 @@ class CommissionedBank(FrozenBank):
 
     @cached_property
     def _bank(self) -> RobustBank:
-        there = at(self.plant, self.frozen.values, declared(self.plant)[2])
+        there = seen_to_fit(at(self.plant, self.frozen.values, declared(self.plant)[2]))
         rate = FALSE_ALARM if self.fitted_rate is None else min(self.fitted_rate, FALSE_ALARM)
         return RobustBank(there, threshold_scale=self.threshold_scale / self.fitted_scale, false_alarm=rate)
 

@@ -28,7 +28,7 @@ from fusion_sfdia.learning.commissioning.commission import Commissioning
 from fusion_sfdia.learning.commissioning.disturbances import FoundDisturbance, moves, with_disturbance
 from fusion_sfdia.learning.commissioning.noise_likelihood import Noise, state_groups, with_noise
 from fusion_sfdia.learning.commissioning.parameters import ParameterEstimate, declared, free, moved
-from fusion_sfdia.learning.commissioning.start import Start, with_start
+from fusion_sfdia.learning.commissioning.start import Start, seen_to_fit, with_start
 from fusion_sfdia.plant.augment import fixed
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.signals import Sensor
@@ -413,7 +413,7 @@ def learnt_plant(document: dict[str, Any], plant: Plant) -> Plant:
             plant = with_start(plant, Start(*(np.array(start[what], dtype=float) for what in ("x0", "variance"))))
     except KeyError as error:
         raise ValueError(f"the tuned values have no {error}; tune again, or restore the file") from error
-    return plant
+    return seen_to_fit(plant)
 
 
 def _as_learnt(sensor: Sensor, row: dict[str, Any]) -> Sensor:

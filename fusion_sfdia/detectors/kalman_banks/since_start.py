@@ -1,0 +1,59 @@
+"""Which faults of each sensor have not been there since the first sample.
+
+A constant error that all readings have is a fault of the sensor, or the model errs: without a reading from before, nothing
+tells these apart. A fault began later only where the sensor's own readings have ruled it out before. With c = a / b the size of
+a bias by the oldest onset of the windows, and s its standard deviation (`likelihood_window`), in samples without a
+sign of an alarm,
+
+    high <- min(high, c + SURE s),    low <- max(low, c - SURE s)
+
+A fault of size f was not there then if f > high or f < low.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.detectors.detector import ProcessHypothesis
+from fusion_sfdia.detectors.kalman_banks.likelihood_window import Inflation, Weighed
+
+Array = NDArray[Any]
+
+SURE = 3.0  # standard deviations
+SINCE_START = ProcessHypothesis("model since the start", "1", "since start", np.nan)
+
+
+class RuledOut(NamedTuple):
+    """Errors of each sensor (..., N), in its unit, that were not there in some sample: those above high and below low.
+
+    unclear (..., N): sensors that are left out, and whose fault may have been there since the first sample.
+    """
+
+    high: Array
+    low: Array
+    unclear: Array
+
+    def allows(self, fault: Array) -> Array:
+        """Whether faults of that size (..., N) may have been there since the first sample."""
+        return np.asarray((fault <= self.high) & (fault >= self.low))
+
+
+def nothing_ruled_out(batch: tuple[int, ...], sensors: int) -> RuledOut:
+    """Before the first readings."""
+    shape = (*batch, sensors)
+    return RuledOut(np.full(shape, np.inf), np.full(shape, -np.inf), np.zeros(shape, bool))
+
+
+def seen_again(now: RuledOut, window: Weighed, inflation: Inflation, where: Array) -> RuledOut:
+    """With the windows of a sample, of sensors `where` (..., N) holds. inflation: of the noise in their sums."""
+    sensors = now.high.shape[-1]
+    a, b = window.a[..., -1, :sensors], window.b[..., -1, :sensors]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        size, reach = a / b, SURE * np.sqrt(inflation.own[..., -1, :] / b)
+        high, low = (
+            np.where(where & (b > 0), bound, none) for bound, none in ((size + reach, np.inf), (size - reach, -np.inf))
+        )
+    return now._replace(high=np.minimum(now.high, high), low=np.maximum(now.low, low))
