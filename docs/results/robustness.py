@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fusion_sfdia.report.content import ResultTable
+from fusion_sfdia.report.figure_files import figure_svg
 from fusion_sfdia.report.results import Row, read_rows, rounded, write_rows
 from fusion_sfdia.study import acceptance
 from fusion_sfdia.study.acceptance import met, totals, verdict
@@ -26,6 +27,7 @@ from fusion_sfdia.study.robustness_report import (
     about_table,
     beside_default,
     cases_table,
+    draw_levels,
     false_isolation,
     overview,
     reliability_table,
@@ -34,6 +36,7 @@ from fusion_sfdia.study.robustness_report import (
 
 HERE = Path(__file__).parent
 NUMBERS, LIMITS, PAGE = HERE / "robustness.csv", HERE / "robust-limits.csv", HERE / "when-the-model-is-wrong.md"
+FIGURE = HERE / "reliability.svg"
 DIGITS = 3
 BEFORE = "robust-glr of 170c653d"
 
@@ -130,6 +133,20 @@ def cell_of(row: Row | None) -> str:
     return f"{row.value:.2f}" + (f" [{row.low:.2f}, {row.high:.2f}]" if row.low == row.low else "")
 
 
+RELIABILITY = f"""## How far a confidence can be believed
+
+![Share of the events of sensors that are right, by the confidence that {DEFAULT} states](reliability.svg)
+
+*Events of sensors in all cases of a plant, by the confidence that `{DEFAULT}` states: on the grey line that is the share of
+them that are right, below it confidence is too high. 95 % intervals; the numbers stand at the end of each plant's chapter.*"""
+
+
+def draw(rows: Sequence[Row]) -> str:
+    """The figure of that section."""
+    plants = dict.fromkeys(r.plant for r in rows if r.detector == DEFAULT)
+    return figure_svg("reliability", lambda: draw_levels(rows, {plant: (plant, DEFAULT) for plant in plants}))
+
+
 def limits(rows: Sequence[Row]) -> str:
     """The section on the acceptance list."""
     before = {(r.quantity, r.plant, r.condition, r.metric): r for r in rows if r.detector == BEFORE}
@@ -174,7 +191,8 @@ def trials(rows: Sequence[Row]) -> str:
 
 def render(rows: Sequence[Row], of_limits: Sequence[Row] = ()) -> str:
     """The page, with the section on the acceptance list where there are rows of it."""
-    parts = [ABOUT, *METHOD, trials(rows), markdown(overview(rows)), IMPOSSIBLE, *([limits(of_limits)] if of_limits else [])]
+    parts = [ABOUT, *METHOD, trials(rows), markdown(overview(rows)), RELIABILITY, IMPOSSIBLE]
+    parts += [limits(of_limits)] if of_limits else []
     for plant in dict.fromkeys(row.plant for row in rows):
         parts += [f"## {plant}", markdown(cases_table(rows, plant))]
         if (reliability := reliability_table(rows, plant)).rows:
@@ -216,6 +234,7 @@ def main(paths: Sequence[Path]) -> None:
     write_rows(NUMBERS, rows)
     write_rows(LIMITS, of_limits)
     PAGE.write_text(render(rows, of_limits), encoding="utf-8")
+    FIGURE.write_text(draw(rows), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -239,20 +239,25 @@ def draw_cases(rows: Sequence[Row], plant: str) -> Any:
 
 
 def draw_reliability(rows: Sequence[Row], plant: str) -> Any:
-    """The share of right events at the middle of each level of confidence, with its interval."""
+    """The share of right events of each detector at the middle of each level of confidence, with its interval."""
+    return draw_levels(rows, {d: (plant, d) for d in names_in((r for r in rows if r.plant == plant), "detector")})
+
+
+def draw_levels(rows: Sequence[Row], lines: Mapping[str, tuple[str, str]]) -> Any:
+    """The same of any pairs of a plant and a detector, by the names of the lines."""
     figure, (axis,) = panels(["events"], columns=1, width=6.0, height=4.0)
     index = index_of(rows)
     axis.plot([0, 1], [0, 1], color="0.6", linewidth=0.8)
-    for detector in names_in((r for r in rows if r.plant == plant), "detector"):
+    for name, of in lines.items():
         points = []
         for low, high in LEVELS:
-            r = index.get((plant, detector, f"confidence {low:g} to {high:g}", RIGHT_EVENT))
+            r = index.get((*of, f"confidence {low:g} to {high:g}", RIGHT_EVENT))
             if r is not None and r.n:
                 points.append(((low + high) / 2, r.value, r.low, r.high))
         if points:
             x, y, low_y, high_y = np.array(points).T
             errors = np.maximum([y - low_y, high_y - y], 0.0)
-            axis.errorbar(x, y, errors, marker="o", markersize=4, capsize=2, label=detector)
+            axis.errorbar(x, y, errors, marker="o", markersize=4, capsize=2, label=name)
     axis.set(xlabel="confidence stated", ylabel="share that is right", xlim=(0, 1), ylim=(0, 1.02))
     axis.legend(fontsize=7)
     return figure

@@ -131,6 +131,8 @@ def _model(found: Inspection) -> list[tuple[str, str]]:
         lines.append(
             ("at once", f"{r.redundancy.faults} of {len(found.plant.sensors)} sensors may fail: {r.redundancy.reason}")
         )
+        if r.learning.faults < r.redundancy.faults:
+            lines.append(("", f"{r.learning.faults} while the declared unknowns are to be learnt, too: {r.learning.reason}"))
         limits = ", ".join(f"{t.detector} {t.most_faults}" for t in found.detectors if t.most_faults)
         lines += [("isolated", f"at once, at most: {limits}")] if limits else []
         lines.append(("readmission", f"never on their own: {', '.join(found.kept_out) or 'none'}"))

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.learning.inspection.plant_findings import REMARK, PlantFinding
+from fusion_sfdia.plant.augment import augment
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.redundancy import Redundancy, redundancy
 
@@ -33,7 +34,8 @@ class Observability(NamedTuple):
     """rank: how many of n directions the readings determine, or the model forgets within 3 samples (states that inputs set).
 
     condition: largest over smallest singular value of those that readings determine. unseen: states in the other directions.
-    needed: sensor and the states that are not determined without it. redundancy: how many sensors may fail together, and why.
+    needed: sensor and the states that are not determined without it. redundancy: how many sensors may fail together, and why;
+    learning: the same where the declared unknowns have to be learnt from the readings, too.
     """
 
     rank: int
@@ -43,6 +45,7 @@ class Observability(NamedTuple):
     unseen: tuple[str, ...]
     needed: tuple[tuple[str, tuple[str, ...]], ...]
     redundancy: Redundancy
+    learning: Redundancy
 
 
 def observability(plant: Plant) -> Observability:
@@ -74,7 +77,9 @@ def observability(plant: Plant) -> Observability:
         if len(alone):
             needed.append((name, _named(plant, alone @ directions[:rank])))
     condition = float(values[0] / values[rank - 1]) if rank else np.inf
-    return Observability(n - len(unseen), n, samples, condition, _named(plant, unseen), tuple(needed), redundancy(plant))
+    known, larger = redundancy(plant), augment(plant)
+    learning = known if len(larger.states) == n else redundancy(larger)
+    return Observability(n - len(unseen), n, samples, condition, _named(plant, unseen), tuple(needed), known, learning)
 
 
 def _alone(U: Array, i: int, values: Array, least: float) -> Array:

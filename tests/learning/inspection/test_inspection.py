@@ -18,8 +18,9 @@ from fusion_sfdia.detectors.registry import NamedDetector, detector
 from fusion_sfdia.learning.inspection.inspection import as_json, as_text
 from fusion_sfdia.learning.inspection.stepping import of_start
 from fusion_sfdia.plant.augment import augment
+from fusion_sfdia.plant.redundancy import redundancy
 from fusion_sfdia.plant.uncertainty import Disturbance, Uncertainty
-from fusion_sfdia.plants import Numerics, SlowNoise
+from fusion_sfdia.plants import Numerics, SlowNoise, two_tanks
 
 INFLOW = Signal("inflow", "m/s", nominal=0.01)
 
@@ -112,6 +113,19 @@ def test_mistakes_come_first_and_nothing_else_is_examined() -> None:
 def test_what_limits_the_diagnosis_is_stated_with_its_cure(made: Plant, about: str, text: str) -> None:
     found = [f for f in inspect(made, simulated=False).findings if f.about == about]
     assert any(re.search(text, f.text) for f in found), found
+
+
+def test_what_has_to_be_learnt_from_the_same_sensors_leaves_fewer_that_may_fail() -> None:
+    made = two_tanks()
+    found = inspect(made, simulated=False).readings
+    assert found is not None
+    assert (found.redundancy.faults, found.learning.faults) == (2, redundancy(augment(made)).faults) == (2, 1)
+    assert "1 while the declared unknowns are to be learnt, too: an error of the estimated outlet_2" in str(
+        inspect(made, simulated=False)
+    )
+    known = replace(made, uncertainty=Uncertainty())
+    alone = inspect(known, simulated=False).readings
+    assert alone is not None and alone.learning == alone.redundancy
 
 
 def test_a_stated_limit_is_not_asked_for() -> None:
