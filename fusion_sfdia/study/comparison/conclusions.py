@@ -24,6 +24,10 @@ from fusion_sfdia.study.experiments.scenario import Settings
 MOST_LISTED = 9  # detectors by name in a sentence
 RARELY = 0.01  # of samples: what is less is not reported
 MOST_EQUALS = 4  # detectors that are no worse beyond chance, by name
+AUDIT = (
+    "These are faults in the noise that a plant states. What other noise, starts, model errors and causes do to a detector, "
+    "live from the first row, `fusion-sfdia audit` tries on any plant."
+)
 
 
 def findings(settings: Settings, cells: Cells) -> list[str]:
@@ -182,10 +186,11 @@ def divergences(cells: Sequence[ComparisonCell]) -> list[str]:
 
 
 def opening(settings: Settings, cells: Cells, standings: Standings) -> list[str]:
-    """A paragraph a plant, and what the number of seeds decides."""
+    """A paragraph a plant, what the number of seeds decides, and what is not tried here."""
     plants = dict.fromkeys(plant for plant, _ in cells)
     advice = [advised(settings, of_plant(cells, p), standings[p][LOSS]) for p in plants if p in standings]
-    return [line for line in (*advice, decided(standings)) if line]
+    said = [line for line in (*advice, decided(standings)) if line]
+    return [*said, AUDIT] if said else []
 
 
 def advised(settings: Settings, cells: Mapping[str, ComparisonCell], ranked: Mapping[str, RankedDetector]) -> str:
