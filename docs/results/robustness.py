@@ -51,8 +51,9 @@ sensor was a fault."""
 
 IMPOSSIBLE = """## What no detector can tell
 
-- **An offset since the first row is a bias.** Without a log from before there is no reading that it differs from. The verdict
-  that can be had is "sensor or model, since the start".
+- **An offset since the first row is a bias, or the model errs.** Without a log from before there is no reading that it differs
+  from. The verdict is "cannot tell: p_15 or model since the start"; where a declared unknown of the plant explains it as well,
+  as an outlet of a tank at rest explains a level, there is none.
 - **A drift along the direction in which a declared unknown moves the readings is that unknown.** `inspect` states which of them
   the plant's sensors cannot separate, and from which size on they can.
 - **Two causes that begin within a few rows** show in the same residuals; which of them began is known when one of them ends, or
@@ -74,15 +75,11 @@ IMPOSSIBLE = """## What no detector can tell
 
 REASONS = """### Why, where a limit is missed
 
-- **Offsets of one sigma** on all sensors now and then put one sensor more than two sigma off what the others say, which is a
-  bias of that sensor as far as readings go. The pipeline's cross-talk: see above.
+- **The pipeline's cross-talk**: see above.
 - **A leak under AR(0.8).** Within some ten rows the level that falls is a fault of its gauge as far as slow noise lets the
   others contradict it. Once the gauge is out, what is left is explained by a narrower outlet, and the gauge is used again late.
 - **The network's input gain.** `omega_4` is isolated in the row of the change, and the estimate without it stays wrong, so that
   its own readings never readmit it.
-- **All unknowns off, two tanks.** `l2` is isolated in 8 of the 16 runs in which the lower level rests at 1.55 m, not 1 m:
-  outlet 2 narrower, inflow and leak such that more flows; in none of the other 80. At rest a narrower outlet and a bias of the
-  gauge above it give the same readings, and the filter begins with an outlet linearised at 1 m.
 - **Two causes within some rows** show in the same residuals, and the estimate has taken up a part of the one before the other
   is named."""
 

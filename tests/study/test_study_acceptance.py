@@ -178,13 +178,10 @@ def test_unknown_items_and_plants_are_refused(tmp_path: Path) -> None:
 
 # missed in the committed run, with the reasons that docs/results/when-the-model-is-wrong.md states
 KNOWN = {
-    (a.TANKS, "offsets"),
-    (a.PIPELINE, "offsets"),
     (a.PIPELINE, "cross-talk"),
     (a.TANKS, "process fault: leak, ar-0.8"),
     (a.NETWORK, "process fault: input-gain"),
     (a.NETWORK, "process fault: input-gain, ar-0.8"),
-    (a.TANKS, "all-unknowns-off"),
     *((a.TANKS, case.name) for case in a.two_causes()),
 }
 

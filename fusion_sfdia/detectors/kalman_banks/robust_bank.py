@@ -94,7 +94,7 @@ from fusion_sfdia.detectors.kalman_banks.reading_noise import (
     with_sums,
 )
 from fusion_sfdia.detectors.kalman_banks.robust_memory import RobustMemory, empty_memory, faded, leaves_unexplained
-from fusion_sfdia.detectors.kalman_banks.since_start import SINCE_START, RuledOut, seen_again
+from fusion_sfdia.detectors.kalman_banks.since_start import SINCE_START, RuledOut, before_jumps, seen_again
 from fusion_sfdia.detectors.kalman_banks.standing import Standing, added_noise, followed, nothing, sizes, with_accepted
 from fusion_sfdia.detectors.kalman_banks.steady_gains import (
     Gains,
@@ -357,6 +357,8 @@ class RobustBank(ExcludingBank):
             if restart.any() or (self.accommodate and waits.any()):
                 used = statistics(joint, y, usable & ~isolated & ~waits)
                 found = unclipped(clipped(used, spread), used, whole).found
+        if self._needs_earlier:
+            ruled_out = before_jumps(ruled_out, noise.last, everything, spread)
         if self._needs_earlier and not begins:
             since = self._since_start(isolated, by_windows, ruled_out, everything, evidence)
             calm = ~stands & (evidence.statistic_p < limits.process * CALM).all(axis=-1)

@@ -7,7 +7,8 @@ sign of an alarm,
 
     high <- min(high, c + SURE s),    low <- max(low, c - SURE s)
 
-A fault of size f was not there then if f > high or f < low.
+A fault of size f was not there then if f > high or f < low. So does the sample before a jump, with c and s of the leave-one-out
+error: an error of the model grows, while it is learnt or later, but does not jump.
 """
 
 from __future__ import annotations
@@ -18,11 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.detectors.detector import ProcessHypothesis
+from fusion_sfdia.detectors.kalman_banks.leave_one_out import LeaveOneOut
 from fusion_sfdia.detectors.kalman_banks.likelihood_window import Inflation, Weighed
 
 Array = NDArray[Any]
 
 SURE = 3.0  # standard deviations
+JUMP = 20.0  # half the squared change of a leave-one-out error from a sample to the next, in variances of its noise
 SINCE_START = ProcessHypothesis("model since the start", "1", "since start", np.nan)
 
 
@@ -56,4 +59,19 @@ def seen_again(now: RuledOut, window: Weighed, inflation: Inflation, where: Arra
         high, low = (
             np.where(where & (b > 0), bound, none) for bound, none in ((size + reach, np.inf), (size - reach, -np.inf))
         )
+    return now._replace(high=np.minimum(now.high, high), low=np.maximum(now.low, low))
+
+
+def before_jumps(now: RuledOut, last: Array, found: LeaveOneOut, variance: Array) -> RuledOut:
+    """With the sample before this one, of sensors whose error jumps.
+
+    last (..., N): e of that sample, as of `reading_noise`, NaN without one. variance (..., N): that of e, by the noise.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sd = 1 / np.sqrt(found.weight)
+        jumps = found.used & ((found.whitened * sd - last) ** 2 / 2 > JUMP * variance)
+        if not jumps.any():
+            return now
+        size, reach = last * sd, SURE * np.sqrt(variance) * sd
+    high, low = np.where(jumps, size + reach, np.inf), np.where(jumps, size - reach, -np.inf)
     return now._replace(high=np.minimum(now.high, high), low=np.maximum(now.low, low))
