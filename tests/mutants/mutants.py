@@ -1077,4 +1077,34 @@ MUTANTS = (
         "e.size / e.nominal < -2",
         "tests/diagnosis/test_sentences.py::test_a_size_that_cannot_be_is_not_printed",
     ),
+    Mutant(
+        "fusion_sfdia/detectors/kalman_banks/since_start.py",
+        "SURE * np.sqrt(inflation.own[..., -1, :] / b)",
+        "SURE * np.sqrt(1 / b)",
+        "tests/detectors/kalman_banks/test_faults_since_start.py::test_a_sample_rules_out_what_is_more_than_three_deviations_off",
+    ),
+    Mutant(
+        "fusion_sfdia/detectors/kalman_banks/since_start.py",
+        "JUMP = 20.0",
+        "JUMP = 20000.0",
+        "tests/contracts/test_readmit.py::test_every_detector_that_keeps_sensors_out_uses_them_again",
+    ),
+    Mutant(
+        "fusion_sfdia/detectors/kalman_banks/robust_bank.py",
+        "ruled_out.unclear & exclusion.out",
+        "ruled_out.unclear",
+        "tests/detectors/kalman_banks/test_faults_since_start.py::test_what_is_left_out_since_the_start_is_used_again_after_its_repair",
+    ),
+    Mutant(
+        "fusion_sfdia/detectors/kalman_banks/robust_bank.py",
+        "CALM = 0.5",
+        "CALM = 50.0",
+        "tests/detectors/kalman_banks/test_faults_since_start.py::test_unknowns_that_are_off_since_the_start_isolate_no_sensor",
+    ),
+    Mutant(
+        "fusion_sfdia/detectors/kalman_banks/robust_bank.py",
+        "bool(self._hypotheses.added) and not self.plant.uncertainty.fits",
+        "bool(self._hypotheses.added)",
+        "tests/detectors/kalman_banks/test_faults_since_start.py::test_where_sensors_have_been_seen_to_fit_a_fault_since_the_first_row_is_one_of_the_sensor",
+    ),
 )

@@ -15,7 +15,8 @@ from fusion_sfdia.detectors.kalman_banks.likelihood_window import Inflation, Wei
 from fusion_sfdia.detectors.kalman_banks.since_start import SINCE_START, SURE, nothing_ruled_out, seen_again
 from fusion_sfdia.diagnosis.sentences import sentence, wordings
 from fusion_sfdia.plant.plant import Plant
-from fusion_sfdia.plants import marine_engine
+from fusion_sfdia.plants import marine_engine, two_tanks
+from fusion_sfdia.study.error_protocol import CASES, trial
 
 SENSOR, ROWS = 7, 200  # of the engine, whose parameters do not move the readings as a bias of it does
 
@@ -102,3 +103,16 @@ def test_where_sensors_have_been_seen_to_fit_a_fault_since_the_first_row_is_one_
     _, found = run(bank, bank.init(), *readings(plant, 0))
     assert found.isolated[60:, SENSOR].all()
     assert SINCE_START not in bank.process_hypotheses
+
+
+def test_unknowns_that_are_off_since_the_start_isolate_no_sensor() -> None:
+    """Two tanks rest where their unknowns are two deviations off: an outlet is narrower, or the gauge above it wrong."""
+    plant = two_tanks()
+    off = replace(next(case for case in CASES if case.name == "all-unknowns-off"), start="rest")
+    made = [trial(plant, off, seed, 80) for seed in (610003, 610006, 610007, 610018)]
+    y, u = (np.stack([getattr(one.log, what) for one in made], axis=1) for what in ("y", "u"))
+    bank = RobustBank(plant)
+    _, found = run(bank, bank.init((len(made),)), made[0].log.t, y, u)
+    assert not found.isolated.any()
+    assert found.suspect is not None
+    assert found.suspect[40:, :, plant.sensor_index("l2")].any(axis=0).all()
