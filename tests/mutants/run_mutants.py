@@ -99,6 +99,8 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=2, help="mutants at a time")
     chosen = parser.parse_args()
     mutants = [m for m in MUTANTS if all(any(word in part for part in m[:4]) for word in chosen.words)]
+    if not mutants:
+        parser.error(f"no mutant has all of {' '.join(chosen.words)}; a word is a part of its file, of its text or of its test")
     left = survivors(mutants, chosen.workers, show=True)
     print(f"{len(mutants)} mutants, {len(mutants) - len(left)} killed, {len(left)} survive", *left, sep="\n")
     return bool(left)

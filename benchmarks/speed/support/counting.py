@@ -119,7 +119,8 @@ def count_matrices(package: str, rewriting: ast.NodeTransformer) -> None:
 
     All but those of np.dot, which compiled functions call. RuntimeError as of `install`.
     """
-    if known := [name for name in sys.modules if name.startswith((f"{package}.core", f"{package}.models"))]:
+    rooms = tuple(f"{package}.{room}" for room in ("derivatives", "plant", "filters", "detectors", "models"))
+    if known := [name for name in sys.modules if name.startswith(rooms)]:
         raise RuntimeError(f"{known[0]} is imported already; call install before anything of {package}")
     setattr(builtins, PRODUCT, _product)
     for name, share in FACTORISATIONS.items():

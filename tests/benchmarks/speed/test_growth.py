@@ -145,5 +145,7 @@ def test_memory_and_elements_of_a_call() -> None:
 
 
 def test_counting_begins_before_what_is_counted_is_imported() -> None:
+    import fusion_sfdia.derivatives.equation  # noqa: F401
+
     with pytest.raises(RuntimeError, match=r"fusion_sfdia\.\S* is imported already; call install before"):
         counting.install()
