@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import whole
 from fusion_sfdia.common.covariance import diagonal
-from fusion_sfdia.filters.estimators import Extended, GaussianState, Prior, step_stream
+from fusion_sfdia.filters.estimators import UNUSED, Extended, GaussianState, Prior
 from fusion_sfdia.filters.gaussian import Joint, half_inverse, rounding
 from fusion_sfdia.filters.sums import difference
 from fusion_sfdia.logs.log_forms import as_log
@@ -122,8 +122,8 @@ class InnovationUpdate(NamedTuple):
 
 def updated(model: Plant, core: GaussianState, t_start: float, dt: float, y: Array, u: Array) -> InnovationUpdate:
     """The extended filter over [t_start, t_start + dt] and its update by y (B, N), NaN where missing, under u (B, m)."""
-    filter_, rng = Extended(), step_stream(0, 0)  # it draws nothing
-    prior = filter_.predict(model, core, t_start, u, dt, rng)
+    filter_ = Extended()
+    prior = filter_.predict(model, core, t_start, u, dt, UNUSED)
     joint = filter_.joint(model, prior, t_start + dt, u)
     y = model.near(y, joint.y)
     used = np.isfinite(y)
@@ -140,7 +140,7 @@ def filtered(model: Plant, log: Log) -> Iterator[InnovationStep]:
 
     ValueError where the model gives no finite value.
     """
-    core = Extended().start(model, log.y.shape[1:-1], step_stream(0, 0))  # it draws nothing
+    core = Extended().start(model, log.y.shape[1:-1], UNUSED)
     before = float(log.t[0]) - model.dt
     for t, y, u in zip(log.t.tolist(), log.y, log.u, strict=True):
         model.check_dt(t - before)

@@ -88,9 +88,10 @@ class Frozen(NamedTuple):
         """B dphi / dx (N, n)."""
         return np.asarray(self.coef[:, 1 : 1 + n] / self.scale[1 : 1 + n])
 
-    def growth(self, w: int, phi: Array) -> Array:
-        """The growth g (...) of the w-th window, of mean regressors phi (..., q) within their range."""
-        return np.asarray(1.0 + self.kappa[w] * np.sum((phi @ self.whiten) ** 2, axis=-1))
+    def growth(self, phi: Array) -> Array:
+        """The growth g (W, ...) of the first windows, of their mean regressors phi (W, ..., q) within their range."""
+        kappa = self.kappa[: len(phi)].reshape(-1, *(1 for _ in phi.shape[1:-1]))
+        return np.asarray(1.0 + kappa * np.sum((phi @ self.whiten) ** 2, axis=-1))
 
 
 def beyond(phi: Array, low: Array, high: Array) -> Array:

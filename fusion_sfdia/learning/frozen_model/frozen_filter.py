@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.detectors.detector import ProcessHypothesis
-from fusion_sfdia.filters.estimators import Extended, GaussianState, step_stream
+from fusion_sfdia.filters.estimators import UNUSED, Extended, GaussianState
 from fusion_sfdia.learning.innovations import held, updated
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.uncertainty import error_of
@@ -113,7 +113,7 @@ class FrozenFilter:
         shape, ages = self._begin.shape, (FRESH + 1) * self.of_sensors
         effect = np.broadcast_to(self._begin, (*batch, *shape)).copy()
         fresh = np.broadcast_to(self._begin, (*batch, ages, *shape)).copy()
-        core = Extended().start(self.model, batch, step_stream(0, 0))
+        core = Extended().start(self.model, batch, UNUSED)
         return Tracked(core, effect, fresh, np.zeros((*batch, ages, len(self.plant.sensors), shape[-1])))
 
     def step(self, now: Tracked, t_start: float, dt: float, y: Array, u: Array) -> tuple[Tracked, FrozenRow]:
@@ -121,7 +121,7 @@ class FrozenFilter:
         count, n = len(self.plant.sensors), len(self.plant.states)
         prior, joint, y, used, half, normal, gain_half, core = updated(self.model, now.core, t_start, dt, y, u)
         assert prior.tangent is not None and joint.H is not None
-        tangent, readout = prior.tangent, np.broadcast_to(joint.H, np.swapaxes(joint.C, -1, -2).shape)
+        tangent, readout = prior.tangent, joint.H
         own = np.eye(count, now.effect.shape[-1]) if self.of_sensors else 0.0
         gain = gain_half @ np.swapaxes(half, -1, -2)
 
@@ -133,9 +133,8 @@ class FrozenFilter:
         effect, by_cause = followed(now.effect, tangent, readout, gain)
         fresh, grown, by_begun = now.fresh, now.grown, np.zeros_like(by_cause)
         if self.of_sensors:
-            now_begins = np.broadcast_to(self._begin, (*fresh.shape[:-3], 1, *fresh.shape[-2:]))
-            fresh, seen = followed(_aged(now_begins, fresh), *(a[..., None, :, :] for a in (tangent, readout, gain)))
-            grown, by_begun = _aged(np.zeros_like(grown[..., :1, :, :]), grown) + seen, seen[..., FRESH, :, :]
+            fresh, seen = followed(_aged(self._begin, fresh), *(a[..., None, :, :] for a in (tangent, readout, gain)))
+            grown, by_begun = _aged(0.0, grown) + seen, seen[..., FRESH, :, :]
         lost = ~np.isfinite(core.x).all(axis=-1) | prior.lost
         nis = np.sum(normal**2, axis=-1) / np.maximum(np.sum(used, axis=-1), 1)
         nis = np.where(used.any(axis=-1), nis, np.nan)
@@ -146,9 +145,12 @@ class FrozenFilter:
         return Tracked(core, effect, fresh, grown), row
 
 
-def _aged(youngest: Array, fresh: Array) -> Array:
+def _aged(youngest: Array | float, fresh: Array) -> Array:
     """Of causes (..., FRESH + 1, k, M) a row later: those that began now, up to FRESH rows ago, and at the chosen row."""
-    return np.concatenate([youngest, fresh[..., : FRESH - 1, :, :], fresh[..., FRESH:, :, :]], axis=-3)
+    found = fresh.copy()
+    found[..., 0, :, :] = youngest
+    found[..., 1:FRESH, :, :] = fresh[..., : FRESH - 1, :, :]
+    return found
 
 
 def unknowns(plant: Plant) -> tuple[ProcessHypothesis, ...]:

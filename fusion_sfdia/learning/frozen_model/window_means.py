@@ -12,6 +12,7 @@ S^-1 - S^-1 d d' S^-1 / d' S^-1 d.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,13 +28,26 @@ TINY = np.finfo(float).tiny
 DISTINCT = 1e-3  # share of D' S^-1 D that is left beside a cause that acts, below which a cause counts as the same
 
 
-def enough(count: Array, share: Array, w: int) -> Array:
+def enough(count: Array, share: Array, w: Array | int) -> Array:
     """Whether of w rows so many (..., N) have a reading, of a sensor that usually has one in that share of them (N,)."""
     return np.asarray(count >= np.maximum(KNOWN * share * w, 1.0))
 
 
+def sums(ring: Array, count: Array, row: int) -> Array:
+    """Sums (..., R, k) over the last rows of a ring (..., L, k), of rows numbered from 0 the latest `row`; count: `latest`."""
+    length = ring.shape[-2]
+    start = length - 1 - row % length
+    return np.asarray(count[:, start : start + length] @ ring)
+
+
+def latest(rows: Sequence[int], length: int) -> Array:
+    """Which are the last so many rows (R,) of a ring (R, 2 length), where its latest is at the end of the first half."""
+    age = np.tile(np.arange(length)[::-1], 2)
+    return (age < np.reshape(rows, (-1, 1))).astype(float)
+
+
 class Spread(NamedTuple):
-    """The covariance S (N, N) of means, with U, S^-1 = U U'."""
+    """The covariance S (..., N, N) of means, with U, S^-1 = U U'."""
 
     half: Array
     cov: Array

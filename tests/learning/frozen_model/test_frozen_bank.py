@@ -192,10 +192,10 @@ def test_a_sensor_whose_offset_leaves_a_tenth_of_a_large_change_is_not_named(lef
     """An offset of a reading bends no equation, so that a fault of a sensor leaves little whatever its size."""
     detector = on_tanks()
     count, causes = len(PLANT.sensors), len(PLANT.sensors) + len(detector.process_hypotheses) - 2
-    total, one, no = np.array(100.0), np.ones(causes), np.array(False)
-    own = np.full(causes, 20.0)
-    own[2] = (1 - left) * total
-    found = Found(~no, total, own, one, one, total, no, np.zeros(causes, bool), np.array(0), no)
-    _, isolated, _, process, suspect, _ = detector._causes(detector._start((), 0), found, np.ones(count))
-    assert isolated[2] == named and not np.delete(isolated, 2).any() and not suspect.any()
-    assert process[-2] == (not named)
+    total, one, no = np.array([100.0]), np.ones((1, causes)), np.array([False])
+    own = np.full((1, causes), 20.0)
+    own[0, 2] = (1 - left) * total[0]
+    found = Found(~no, total, own, one, one, total, no, one < 1, np.array([0]), no)
+    _, isolated, _, process, suspect, _ = detector._causes(detector._start((1,), 0), found, np.ones((1, count)))
+    assert isolated[0, 2] == named and not np.delete(isolated, 2, axis=1).any() and not suspect.any()
+    assert process[0, -2] == (not named)
