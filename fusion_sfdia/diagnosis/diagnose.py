@@ -24,6 +24,7 @@ from fusion_sfdia.diagnosis.events import (
     Event,
     ProcessEvent,
     UndecidedEvent,
+    continued,
     events_of,
     follow_ups,
     open_questions,
@@ -381,7 +382,7 @@ def diagnose_run(
         frozen = beyond_resolution(frozen, after.error / after.sd, detector.plant.sensor_resolution)
     del look, track, out  # of a long log as much memory as its readings, twice
     events = explained(detector, t, y, decisions, events_of(detector, t, decisions, gap), after, frozen)
-    events = tuple(e for e in events if e.kind != "sensor" or e.hypothesis not in unread)
+    events = continued([e for e in events if e.kind != "sensor" or e.hypothesis not in unread], t)
     _warn(detector, log, decisions, gaps, clock, unread)
     health = health._replace(remarks=against_the_model(events, decisions, t, clock))
     return Diagnosis(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -21,6 +21,7 @@ MOST_NAMES = 4  # in a sentence
 LASTING = 3  # samples
 TOGETHER = 20  # samples: findings less far apart may be of one fault, as spikes and noise raise many
 REPLACED = 2  # samples
+STAYS = 0.5  # of a size: a sensor that is named again with less has another fault
 CERTAIN = 0.95  # a confidence below is stated
 NO_FAULT = "no fault"
 EVEN = 0.5  # a confidence below which it is rather something else
@@ -485,6 +486,36 @@ def follow_ups(e: Event, events: Iterable[Event], t: Array) -> tuple[Event, ...]
         elif o.kind != "undecided":
             continue
         reach = max(reach, until(o.end))
+    return tuple(found)
+
+
+def continued(events: Sequence[Event], t: Array) -> tuple[Event, ...]:
+    """The events with those of a sensor as one that are of one bias or drift, at times t (K,).
+
+    These are two of which the second is among the `follow_ups` of the first with another finding in between, so that the alarm
+    has not ended, is to the same side and at least `STAYS` as large. The one event has the size of the second, and takes the
+    place of what was found in between without a name, several readings that moved together, this one among the most, or a
+    process that did not fit: the sensor explains it.
+    """
+    found = list(events)
+    for e in sorted((e for e in events if e.kind == "sensor"), key=lambda e: e.start, reverse=True):
+        *between, last = follow_ups(e, found, t) or (e,)
+        lasting = all(o.kind == "sensor" and o.fault in ("bias", "drift") for o in (e, last))
+        if not (between and lasting and last.hypothesis == e.hypothesis and last.size * np.sign(e.size) >= STAYS * abs(e.size)):
+            continue
+        fault = "drift" if "drift" in (e.fault, last.fault) else "bias"
+        sure = e if e.confidence > last.confidence else last
+        one = replace(
+            last, start=e.start, fault=fault, confidence=sure.confidence, alternatives=sure.alternatives,
+            fault_alternatives=tuple(kind for kind in last.fault_alternatives if kind != fault),
+        )  # fmt: skip
+        same = [
+            o
+            for o in between
+            if o.end <= last.start and (isinstance(o, UnnamedEvent) or (isinstance(o, GroupEvent) and e.hypothesis in o.most))
+        ]
+        gone = set(map(id, (last, *same)))
+        found = [one if o is e else o for o in found if id(o) not in gone]
     return tuple(found)
 
 

@@ -16,9 +16,12 @@ from fusion_sfdia.diagnoser import diagnose
 from fusion_sfdia.diagnosis.diagnose import Diagnosis, against_the_model
 from fusion_sfdia.diagnosis.events import (
     Event,
+    GroupEvent,
     OtherEvent,
     ProcessEvent,
     UndecidedEvent,
+    UnnamedEvent,
+    continued,
     events_of,
     follow_ups,
     listed,
@@ -251,3 +254,23 @@ def test_a_fault_is_over_if_nothing_that_may_be_it_follows() -> None:
     assert followed(others, later) == [later]  # what is undecided in between tells nothing of l1
     again = replace(bias, start=270.0, end=300.0)
     assert followed(later, replace(leak, start=301.0, end=350.0), again, others) == [later, again]  # that has its own sentence
+
+
+def test_a_sensor_that_is_named_again_as_far_off_has_one_fault() -> None:
+    """Only where the alarm has not ended, to the same side, and not much smaller; a named change of the process stays."""
+    t = np.arange(400.0)
+
+    def of(start: float, end: float, size: float) -> Event:
+        return Event("l1", start, end, size, "m", False, fault="bias", fault_alternatives=("drift",))
+
+    first, last, more = of(10, 50, 0.8), of(121, 200, 1.0), of(260, 300, 1.1)
+    group = GroupEvent("together", 60.0, 120.0, np.nan, "", False, ("l2", "l1"))
+    either = UndecidedEvent("l1 or l2", 205.0, 255.0, np.nan, "", False, ("l1", "l2"))
+    assert continued([group, either, first, last, more], t) == (either, replace(more, start=10.0))
+    assert continued([replace(group, most=("l2",)), first, last], t)[0].kind == "process"
+    assert continued([UnnamedEvent("process", 55.0, 118.0, np.nan, "", False), first, last], t) == (replace(last, start=10.0),)
+    for other in (replace(last, size=-1.0), replace(last, size=0.3), replace(last, fault="freeze"), of(150, 200, 1.0)):
+        assert continued([group, first, other], t) == (group, first, other)
+    assert continued([first, of(60, 90, 1.0)], t) == (first, of(60, 90, 1.0))
+    leak = ProcessEvent("leak", 51.0, 120.0, 0.1, "1", False, 0.01, 0.0)
+    assert continued([leak, first, last], t) == (leak, replace(last, start=10.0))

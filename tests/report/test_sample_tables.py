@@ -14,7 +14,7 @@ from toy_plants import readings, tanks
 from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.diagnosis.diagnose import Diagnosis, diagnose_run
-from fusion_sfdia.diagnosis.events import OperationEvent
+from fusion_sfdia.diagnosis.events import GroupEvent, OperationEvent, UndecidedEvent
 from fusion_sfdia.diagnosis.quality_flags import FAIL, GOOD, MISSING, NOT_EVALUATED, SUSPECT, quality_flags
 from fusion_sfdia.logs.columns import Source
 from fusion_sfdia.logs.conversion import conversion
@@ -56,6 +56,13 @@ def test_flags_follow_the_decisions_and_the_events(found: Diagnosis) -> None:
     unlike = OperationEvent("operation", T[36], T[42], np.nan, "", False)
     both = quality_flags(PLANT, BIASED, replace(found, events=(event, unlike)))
     assert both[37].tolist() == [NOT_EVALUATED] * 4 and both[41].tolist() == [*[NOT_EVALUATED] * 2, FAIL, NOT_EVALUATED]
+    together = GroupEvent("together", T[30], T[32], np.nan, "", False, (PLANT.sensor_names[1],))
+    named = replace(event, hypothesis=PLANT.sensor_names[3], start=T[4], end=T[6], open=False)
+    may_be = UndecidedEvent("q2 or l2", T[9], T[14], np.nan, "", False, (PLANT.sensor_names[3], PLANT.sensor_names[1]))
+    judged = replace(d, residual=np.zeros_like(d.residual), threshold=np.ones_like(d.threshold), isolated=d.isolated & False)
+    rows = quality_flags(PLANT, BIASED, replace(found, events=(together, may_be, named), decisions=judged))
+    assert rows[30, :3].tolist() == [GOOD, NOT_EVALUATED, GOOD] and rows[33].tolist() == [GOOD] * 4
+    assert rows[[3, 5, 7, 10, 30], 3].tolist() == [GOOD, FAIL, NOT_EVALUATED, SUSPECT, NOT_EVALUATED]
     absurd = replace(found, decisions=replace(d, absurd=np.outer(np.arange(60) == 30, np.arange(4) == 1)))
     assert quality_flags(PLANT, BIASED, absurd)[30].tolist() == [GOOD, FAIL, GOOD, GOOD]
 

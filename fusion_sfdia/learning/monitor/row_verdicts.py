@@ -14,7 +14,17 @@ from numpy.typing import NDArray
 from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors.detector import Decision, ProcessHypothesis, joined
 from fusion_sfdia.diagnosis.diagnose import Diagnosis
-from fusion_sfdia.diagnosis.events import Event, GroupEvent, OperationEvent, UndecidedEvent, listed, median, spans, with_unit
+from fusion_sfdia.diagnosis.events import (
+    Event,
+    GroupEvent,
+    OperationEvent,
+    UndecidedEvent,
+    continued,
+    listed,
+    median,
+    spans,
+    with_unit,
+)
 from fusion_sfdia.diagnosis.sentences import Wording
 from fusion_sfdia.learning.monitor.causes import MOVED, ONE_OF, OUTSIDE, PROCESS, RECORDER, Causes
 from fusion_sfdia.learning.monitor.channels import Channels, deviations
@@ -144,7 +154,7 @@ def diagnosed(
     """The Diagnosis of a log in pieces, on a grid of step dt (s); of_log: what is to be said of the monitor, a line each."""
     t = np.concatenate([v.t for v in found])
     y = np.concatenate([v.values for v in found])[:, : len(channels.sensors)]
-    events = [e for v in found for e in _events(channels, v, t[-1])] + _still(channels, t, y)
+    events = [*continued([e for v in found for e in _events(channels, v, t[-1])], t), *_still(channels, t, y)]
     order = {"process": 0, "outside": 1, "undecided": 2, "sensor": 3}
     events.sort(key=lambda e: (order[e.kind], e.start, e.hypothesis))
     gaps = tuple(Gap(float(a.t[-1]), float(b.t[0]), round(float(b.t[0] - a.t[-1]) / dt), True) for a, b in pairwise(found))
