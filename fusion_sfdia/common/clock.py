@@ -12,6 +12,11 @@ from fusion_sfdia.common.arguments import shown
 from fusion_sfdia.common.numerals import decimal
 
 
+def posix(moment: datetime) -> float:
+    """A moment in s since 1970; one without a time zone is taken as if it were in UTC."""
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+
+
 class Clock(NamedTuple):
     """Where the seconds t of a log begin: start, with its time zone, or None where the log has seconds alone."""
 

@@ -50,11 +50,12 @@ def fingerprint(detector: Detector) -> str:
 
 
 def _described(value: Any) -> str:
-    """Settings in full, arrays to the last bit; the plant of a detector is left to `fingerprint`."""
+    """Settings in full but those that no comparison counts, arrays to the last bit; the plant is left to `fingerprint`."""
     if isinstance(value, Plant):
         return ""
     if is_dataclass(value) and not isinstance(value, type):
-        return f"{type(value).__name__}({', '.join(f'{f.name}={_described(getattr(value, f.name))}' for f in fields(value))})"
+        settings = (f"{f.name}={_described(getattr(value, f.name))}" for f in fields(value) if f.compare)
+        return f"{type(value).__name__}({', '.join(settings)})"
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{value.shape}{hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()}"
     if isinstance(value, tuple):

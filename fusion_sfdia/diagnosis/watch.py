@@ -30,6 +30,7 @@ from fusion_sfdia.detectors.verdicts import Conclusion, Verdict, conclusion_of
 from fusion_sfdia.diagnosis.alarms import Alarms
 from fusion_sfdia.diagnosis.changes import KEPT, Change
 from fusion_sfdia.diagnosis.device_health import DeviceHealth, sensor_health
+from fusion_sfdia.diagnosis.prepared import dated
 from fusion_sfdia.diagnosis.row_order import InOrder, WatchRow
 from fusion_sfdia.diagnosis.second_look import Seen
 from fusion_sfdia.diagnosis.slow_sensors import SlowSensors
@@ -217,6 +218,7 @@ class Watch:
     ) -> None:
         require_detector(detector)
         self.detector, self.refused = detector, refused
+        self.judge: Detector | None = None  # the detector on the clock of the rows, which the first one states
         self.hold, self.nominal_inputs, self.at_sample = number("hold", hold), nominal_inputs, at_sample
         self.longest_step = longest_step(detector.plant)
         self.longest_gap = MOST_BRIDGES * detector.plant.dt if longest_gap is None else number("longest_gap", longest_gap)
@@ -408,15 +410,16 @@ class Watch:
 
         begins: the time at which the detector starts anew, NaN where it goes on.
         """
-        plant, state, steps = self.detector.plant, self.state, []
+        detector = self.judge = self.judge or dated(self.detector, self.clock)
+        plant, state, steps = detector.plant, self.state, []
         require_model(plant, row.t - plant.dt, row.t, self.x, u)
         if np.isfinite(begins) or state is None:
-            state = self.detector.init((), begins)
+            state = detector.init((), begins)
         elif self.t is not None:
             steps = steps_over(plant, self.longest_step, (self.t, self.u), (row.t, u))
             for t, between in steps:
-                state, _ = self.detector.step(state, t, np.full(len(plant.sensors), np.nan), between)
-        state, decision = self.detector.step(state, row.t, row.y, u)
+                state, _ = detector.step(state, t, np.full(len(plant.sensors), np.nan), between)
+        state, decision = detector.step(state, row.t, row.y, u)
         if np.iscomplexobj(decision.residual) or np.iscomplexobj(decision.estimate):
             raise ModelError("it gives complex numbers")
         return state, decision, steps

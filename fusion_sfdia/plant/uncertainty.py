@@ -37,7 +37,8 @@ class Parameter:
     sd : float, default 1
         Standard deviation of its true value about the nominal one.
     rate : float, default 0
-        Standard deviation of its change within an hour (a random walk); 0 for a constant.
+        Standard deviation of its change within an hour (a random walk); 0 for a constant. It is also the rate of its ageing
+        since `tune` has commissioned the plant: the deviation of its change within a hours is rate sqrt(a).
     treatment : str, default "estimated"
         "estimated"; "considered", not estimated, but its uncertainty counts (Schmidt 1966); "frozen", taken as nominal until a
         hypothesis about it is accepted.

@@ -183,11 +183,18 @@ MUTANTS = (
         quick=False,
     ),
     Mutant(
+        "fusion_sfdia/learning/frozen_model/frozen_bank.py",
+        "np.sqrt(max(self.age + t, 0.0))",
+        "np.sqrt(max(self.age + t, 0.0)) / 60",
+        "tests/learning/frozen_model/test_frozen_bank.py::test_ageing_as_stated_is_no_fault_and_hides_none",
+        quick=False,
+    ),
+    Mutant(
         "fusion_sfdia/learning/frozen_model/window_means.py",
         "start = length - 1 - row % length",
         "start = length - row % length",
         "tests/learning/frozen_model/test_window_means.py::test_sums_are_those_of_the_last_rows",
-        quick=True,
+        quick=False,
     ),
     Mutant(
         "fusion_sfdia/learning/monitor/windows.py",

@@ -13,6 +13,9 @@ residuals are as before. In each row
 - a sensor that has been named for as long as the longest window has a lasting fault: from then on, and until none shows it any
   more, the windows are judged beside it, so that a second fault is named as well;
 - what looks like the sensor named last with the other sign, or again but much smaller, is the filter on its way back;
+- an unknown whose plant states a rate r, the deviation of its change in the root of an hour, may have changed since the model
+  was commissioned, at an age of a hours: with D_c, the mean derivatives by the unknowns, over a window, its covariance is
+  S g + D_c diag(r^2 a) D_c', so that ageing as stated explains itself, at the price of what looks alike;
 - a sensor that repeats a reading twice as often as it ever did when healthy is frozen.
 
 The numbers below were chosen on one simulated air-handling unit, but `LINEAR`, `BRIEF`, `AGAIN`, `RIGHT` and `BESIDE` on plants
@@ -23,6 +26,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from functools import cached_property
 from typing import Any, NamedTuple, Self
 
@@ -31,6 +35,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from fusion_sfdia.common.arguments import probability
+from fusion_sfdia.common.clock import posix
 from fusion_sfdia.common.order_statistics import order_statistic
 from fusion_sfdia.detectors.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.detectors.detector import Decision, ProcessHypothesis
@@ -40,6 +45,7 @@ from fusion_sfdia.learning.frozen_model.commissioned_model import Frozen, beyond
 from fusion_sfdia.learning.frozen_model.frozen_filter import FRESH, FrozenFilter, Tracked, unknowns
 from fusion_sfdia.learning.frozen_model.window_means import WINDOWS, Spread, enough, explained, latest, sums
 from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.uncertainty import HOUR
 
 Array = NDArray[Any]
 
@@ -178,9 +184,15 @@ class Explanation(NamedTuple):
 
 @dataclass(frozen=True)
 class FrozenBank(BatchDetector):
-    """The detector with what a healthy log has shown; `fit` learns it."""
+    """The detector with what a healthy log has shown; `fit` learns it.
+
+    commissioned: when that log ended, in s since 1970. age: from then to second 0 of the readings, in s; None where that is not
+    known, and nothing ages.
+    """
 
     frozen: Frozen = field(kw_only=True)
+    commissioned: float | None = field(default=None, kw_only=True, compare=False)
+    age: float | None = field(default=None, kw_only=True, compare=False)
 
     @classmethod
     def fit(cls, plant: Plant, healthy: Any, false_alarm: float = 1e-3, **settings: Any) -> Self:
@@ -238,6 +250,25 @@ class FrozenBank(BatchDetector):
     @cached_property
     def _filter(self) -> FrozenFilter:
         return FrozenFilter(self.plant, self.frozen.values, along=self.frozen.along_states(len(self.plant.states)))
+
+    def dated(self, start: datetime | None) -> Self:
+        if start is None or self.commissioned is None or not self._rates.any():
+            return self
+        return replace(self, age=posix(start) - self.commissioned)
+
+    @cached_property
+    def _rates(self) -> Array:
+        """Standard deviation (p,) of the change of each unknown in the root of a second."""
+        rates = [p.rate / np.sqrt(HOUR) for p in self.plant.uncertainty.parameters]
+        return np.array([*rates, *[0.0] * (len(unknowns(self.plant)) - len(rates))])
+
+    def _aged(self, spread: Spread, t: float, d: Array, growth: Array) -> Spread:
+        """The covariances with what unknowns may have changed until t (s), with derivatives d (W, B, N, M) of the windows."""
+        if self.age is None:
+            return spread
+        by = d[..., len(self.plant.sensors) :] * self._rates * np.sqrt(max(self.age + t, 0.0))
+        cov = spread.cov + by @ np.swapaxes(by, -1, -2) / growth[..., None, None]
+        return Spread(half_inverse(cov), cov)
 
     @cached_property
     def _spreads(self) -> Spread:
@@ -298,7 +329,7 @@ class FrozenBank(BatchDetector):
             by_cause=_with(memory.by_cause, at, part + (by_cause - part) / (age + 1)),
             begun=begun,
         )
-        found = self._windows(now.k, memory, by_cause, row.by_begun)
+        found = self._windows(now.k, now.t, memory, by_cause, row.by_begun)
         memory, isolated, size, process, suspect, witness = self._causes(memory, found, y)
         begins = (memory.age == 1) & found.alarm
         if begins.any():
@@ -325,9 +356,9 @@ class FrozenBank(BatchDetector):
             probability=_probability(np.concatenate([isolated, process], axis=-1) | suspect),
         ), witness  # fmt: skip
 
-    def _windows(self, k: int, memory: FrozenMemory, by_cause: Array, by_begun: Array) -> Found:
+    def _windows(self, k: int, t_now: float, memory: FrozenMemory, by_cause: Array, by_begun: Array) -> Found:
         """What the windows show after k rows, of which the last has the derivatives `by_cause` (B, N, M), and `by_begun` by
-        causes that began with the event. The windows are the first axis of arrays.
+        causes that began with the event, at t_now (s). The windows are the first axis of arrays.
         """
         batch, causes, many = len(by_cause), by_cause.shape[-1], bisect_right(self._lengths, k - self.frozen.settle)
         if many == 0:
@@ -339,7 +370,8 @@ class FrozenBank(BatchDetector):
         kinds = self._derivatives(k, memory, by_cause, by_begun, w)
         d, acting = kinds[0], np.arange(causes) == memory.acting[:, None]
         beside = np.sum(np.where(acting[:, None], d, 0.0), axis=-1) if acting.any() else None
-        means = Means(Spread(*(a[:many] for a in self._spreads)), m, known, growth * self._limits[:many, None])
+        spread = self._aged(Spread(*(a[:many] for a in self._spreads)), t_now, d, growth)
+        means = Means(spread, m, known, growth * self._limits[:many, None])
         t, *each = means.explained(np.concatenate(kinds, axis=-1), beside)
         ways = np.stack(each).reshape(3, many, batch, len(kinds), causes)
         lasting, best = ways[0, ..., 0, :], ways[..., 0, :]

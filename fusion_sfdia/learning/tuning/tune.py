@@ -8,6 +8,7 @@ the whole log.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia import __version__
-from fusion_sfdia.common.clock import Clock, within
+from fusion_sfdia.common.clock import Clock, posix, within
 from fusion_sfdia.common.errors import NotApplicableError
 from fusion_sfdia.common.rate import Rate, lasting
 from fusion_sfdia.common.steps import Each, in_silence
@@ -125,7 +126,8 @@ def tune(
         per_sample = frozen.detector.fitted_rate
         used = {"name": entry.name, "threshold_scale": frozen.detector.threshold_scale, "false_alarm": str(rate)}
         document = {"plant": plant_table(plant), "detector": used | {"per_sample": per_sample}, **frozen.tables}
-        return Tuned(document | _provenance(origin, logs, made) | {"quality": frozen.quality}, frozen.detector, entry)
+        built = replace(frozen.detector, commissioned=_end(origin, logs))
+        return Tuned(document | _provenance(origin, logs, made) | {"quality": frozen.quality}, built, entry)
     for run, moment in zip(apart, moments, strict=True):
         require_moving(plant, as_runs(plant, (run,)), partial(_at, run.t[:, None], (0,), [moment]))
     log, times, of = as_even_runs(plant, apart)
@@ -180,6 +182,13 @@ def _provenance(origin: Sequence[HealthySource], logs: Sequence[Sequence[Log]], 
         for s, runs in zip(origin, logs, strict=True)
     ]
     return {"healthy": healthy, "made": {"version": __version__, "date": made}}
+
+
+def _end(origin: Sequence[HealthySource], logs: Sequence[Sequence[Log]]) -> float | None:
+    """When the last of the logs ended, in s since 1970; None where their clocks do not say."""
+    ends = [s.clock.moment(float(run.t[-1])) for s, runs in zip(origin, logs, strict=True) for run in runs]
+    known = [posix(end) for end in ends if end is not None]
+    return max(known) if len(known) == len(ends) else None
 
 
 def _runs(log: Log) -> list[Log]:

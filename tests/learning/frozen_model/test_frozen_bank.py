@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from datetime import datetime, timedelta
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -12,13 +14,18 @@ from numpy.typing import NDArray
 from toy_plants import tanks
 from wrong_laws import DAY, DT, PLANTS, WrongLaw, drift, exchanger_pair, tank_cascade
 
+from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors.detector import Decision, run
 from fusion_sfdia.detectors.saved_detectors import load_detector, save_detector
 from fusion_sfdia.detectors.verdicts import Verdict
 from fusion_sfdia.diagnosis.diagnose import diagnose_run
 from fusion_sfdia.diagnosis.events import events_of
+from fusion_sfdia.diagnosis.prepared import prepared
 from fusion_sfdia.diagnosis.simulate import simulate
+from fusion_sfdia.diagnosis.watch import Watch
+from fusion_sfdia.learning.commissioning.parameters import at, declared
 from fusion_sfdia.learning.frozen_model.frozen_bank import LONGEST, NO_SINGLE_CAUSE, OUTSIDE, Found, FrozenBank
+from fusion_sfdia.logs.loaded_log import LoadedLog
 from fusion_sfdia.plant.linear import linear_plant
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.signals import Sensor
@@ -199,3 +206,51 @@ def test_a_sensor_whose_offset_leaves_a_tenth_of_a_large_change_is_not_named(lef
     _, isolated, _, process, suspect, _ = detector._causes(detector._start((1,), 0), found, np.ones((1, count)))
     assert isolated[0, 2] == named and not np.delete(isolated, 2, axis=1).any() and not suspect.any()
     assert process[0, -2] == (not named)
+
+
+def ageing(months: float) -> FrozenBank:
+    """That of the tanks, the first of whose outlets changes by one of its deviations in so many months; 0: none changes."""
+    rates = [p.sd / np.sqrt(months * 720) if p.name == "outlet_1" and months else 0.0 for p in PLANT.uncertainty.parameters]
+    aged = tuple(replace(p, rate=float(r)) for p, r in zip(PLANT.uncertainty.parameters, rates, strict=True))
+    return replace(on_tanks(), plant=replace(PLANT, uncertainty=replace(PLANT.uncertainty, parameters=aged)), commissioned=0.0)
+
+
+@cache
+def worn() -> Log:
+    """The tanks with an outlet that is 4 % wider, and from a row on a bias of another sensor."""
+    _, values, sd = declared(PLANT)
+    found = simulate(at(PLANT, values * [1.04, 1.0, 1.0, 1.0], sd), 500, [7], truth="model", process_noise=True)
+    y = found.y[:, 0].copy()
+    y[ONSET:, 2] += 12 * PLANT.sensor_sigma[2]
+    return Log(found.t, y, found.u)
+
+
+def test_ageing_as_stated_is_no_fault_and_hides_none() -> None:
+    d = decisions(ageing(3.0).dated(datetime(1970, 4, 1)), worn())
+    assert d.suspect is not None and d.process is not None
+    assert not d.isolated[:ONSET].any() and not d.suspect[:ONSET].any() and not d.process[:, :-1].any()
+    assert d.isolated[ONSET + 20 :, 2].mean() > 0.9 and not np.delete(d.isolated, 2, axis=1).any()
+
+
+def test_a_hundred_times_faster_it_is_found() -> None:
+    """Ten of its deviations: the level sensor or its outlet, which look alike."""
+    d = decisions(ageing(3.0).dated(datetime(1970, 1, 1) + timedelta(days=0.9)), worn().rows(slice(ONSET)))
+    assert d.suspect is not None
+    names = (*PLANT.sensor_names, *(h.name for h in on_tanks().process_hypotheses))
+    assert d.suspect[ONSET - 50 :, names.index("outlet_1")].all() and not d.isolated.any()
+
+
+def test_without_a_rate_or_a_date_nothing_ages() -> None:
+    none, some = ageing(0.0), ageing(3.0)
+    assert none.dated(datetime(1990, 1, 1)) is none and some.dated(None) is some
+    assert replace(some, commissioned=None).dated(datetime(1990, 1, 1)).age is None
+
+
+def test_a_log_and_a_watch_age_by_the_clock_of_their_rows() -> None:
+    start = datetime(1970, 4, 1)
+    judged = prepared(ageing(3.0), LoadedLog(worn(), Clock(start), ())).detector
+    watch = Watch(ageing(3.0))
+    for k in range(2):
+        watch.update(start + timedelta(seconds=k * PLANT.dt), worn().y[k], worn().u[k])
+    for found in (judged, watch.judge):
+        assert isinstance(found, FrozenBank) and found.age == 90 * 86400.0

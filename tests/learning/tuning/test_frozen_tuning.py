@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from toy_plants import tanks
 
-from fusion_sfdia.common.clock import Clock
+from fusion_sfdia.common.clock import Clock, posix
 from fusion_sfdia.detectors.detector import run
 from fusion_sfdia.diagnosis.simulate import simulate
 from fusion_sfdia.learning.frozen_model.frozen_bank import FrozenBank
@@ -55,7 +55,7 @@ def test_what_is_not_healthy_is_left_out_and_listed_on_the_wall_clock() -> None:
     clock = Clock(datetime(2023, 11, 14, 22, 13, tzinfo=UTC))
     found = tune(PLANT, log._replace(y=y), detector=NAME, sources=[HealthySource("day.csv", clock)])
     out = [r for r in found.quality["remarks"] if r.startswith("left out: ")]
-    assert len(out) == 2
+    assert len(out) == 2 and found.detector(PLANT).commissioned == posix(clock.moment(float(log.t[-1])))
     assert f"{PLANT.sensor_names[1]} from {clock.at(float(log.t[1000]))} to {clock.at(float(log.t[1199]))}" in out[0]
     assert "all readings from 2023-" in out[1] and "as far off" in out[1]
     with pytest.raises(ValueError, match=r"readings that are not healthy: .*the same reading 200 times; all readings from"):
