@@ -153,6 +153,20 @@ def complex_step_jacobian(function: Callable[[Array], Array], x: Array) -> Array
     return found.swapaxes(-1, -2)
 
 
+def with_complex_step(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array] | None:
+    """Return function(x) and d function / d x of `complex_step_jacobian` by one call, of x and its complex steps side by side.
+
+    None where a value at x is not real or not finite, as that of a root of a negative number: the function is then to be called
+    with real numbers, which show that they are outside its domain.
+    """
+    n = x.shape[-1]
+    found: Array = function(x[..., None, :] + np.concatenate([np.zeros((1, n)), _perturbation(n)]))
+    value = found[..., 0, :]
+    if value.imag.any() or not np.isfinite(value.real).all():
+        return None
+    return value.real, (found[..., 1:, :].imag / COMPLEX_STEP).swapaxes(-1, -2)
+
+
 @lru_cache
 def _perturbation(n: int) -> Array:
     """A complex step of each of n variables, a row for each (n, n)."""

@@ -19,7 +19,7 @@ from fusion_sfdia.common.covariance import diagonal, require_covariance
 from fusion_sfdia.common.html import as_html
 from fusion_sfdia.derivatives.analytic import WRONG, Use, non_analytic
 from fusion_sfdia.derivatives.differentiable import Differentiable, with_jacobian
-from fusion_sfdia.derivatives.equation import complex_step_holds, complex_step_jacobian, difference_jacobian
+from fusion_sfdia.derivatives.equation import complex_step_holds, complex_step_jacobian, difference_jacobian, with_complex_step
 from fusion_sfdia.plant.areas import Areas
 from fusion_sfdia.plant.cyclic import Cyclic, cyclic, near
 from fusion_sfdia.plant.limits import within
@@ -550,6 +550,33 @@ class Plant:
         """The functions that give step and output together with these Jacobians, of the same arguments; None without."""
         step, output = self.jacobians
         return with_jacobian(self.step, step), with_jacobian(self.output, output)
+
+    def step_with_jacobian(self, t_start: float, x: Array, u: Array, dt: float) -> tuple[Array, Array]:
+        """The step and its Jacobian F = d step / d x.
+
+        Parameters
+        ----------
+        t_start : float
+            As of `step_jacobian_at`.
+        x : array (..., n)
+            As of `step_jacobian_at`.
+        u : array (..., m)
+            As of `step_jacobian_at`.
+        dt : float
+            As of `step_jacobian_at`.
+
+        Returns
+        -------
+        ahead : array (..., n)
+            The state at t_start + dt.
+        jacobian : array (..., n, n)
+            As of `step_jacobian_at`; of a model without one by the same call, to rounding, where the complex step holds.
+        """
+        if self.jacobians[0] is None and self._complex_step_holds[0]:
+            both = with_complex_step(lambda p: np.asarray(self.step(t_start, p, u[..., None, :], dt)), x)
+            if both is not None:
+                return both
+        return np.asarray(self.step(t_start, x, u, dt)), self.step_jacobian_at(t_start, x, u, dt)
 
     @cached_property
     def _complex_step_holds(self) -> tuple[bool, bool]:

@@ -19,6 +19,7 @@ from fusion_sfdia.derivatives.equation import (
     difference_jacobian,
     equation,
     python_first,
+    with_complex_step,
 )
 from fusion_sfdia.detectors import registry
 from fusion_sfdia.diagnosis.simulate import simulate
@@ -47,6 +48,27 @@ def test_complex_step_is_the_analytic_jacobian_to_rounding(batch: tuple[int, ...
     assert got.shape == (*batch, 2, 3) and got.dtype == float
     # no subtraction takes place: a few roundings of elementary functions, relative to the largest entry, about 30
     np.testing.assert_allclose(got, slope_of_curve(x), rtol=20 * EPS, atol=20 * EPS)
+
+
+@pytest.mark.parametrize("batch", [(), (4,), (2, 3)])
+def test_value_and_complex_step_come_by_one_call(batch: tuple[int, ...]) -> None:
+    x, calls = np.random.default_rng(0).uniform(0.5, 2.0, (*batch, 3)), count()
+
+    def counted(p: np.ndarray) -> np.ndarray:
+        next(calls)
+        return curve(p)
+
+    found = with_complex_step(counted, x)
+    assert found is not None and next(calls) == 1
+    np.testing.assert_allclose(found[0], curve(x), rtol=20 * EPS, atol=20 * EPS)
+    np.testing.assert_array_equal(found[1], complex_step_jacobian(curve, x))
+
+
+@pytest.mark.parametrize("b", [-1.0, np.inf])
+def test_outside_of_its_domain_a_function_has_no_complex_step(b: float) -> None:
+    """The root of -1 is i: with real numbers it is NaN, by which a filter notices it."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        assert with_complex_step(curve, np.array([1.0, b, 1.0])) is None
 
 
 @pytest.mark.parametrize("batch", [(), (4,), (2, 3)])

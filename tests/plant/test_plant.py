@@ -240,6 +240,8 @@ def test_jacobians_come_from_the_complex_step_where_none_is_stated(batch: tuple[
     x, u = rng.normal(size=(*batch, 2)), rng.normal(size=(*batch, 1))
     f, h = unstated.step_jacobian_at(0.0, x, u, 0.1), unstated.output_jacobian_at(0.0, x, u)
     assert f.shape == (*batch, 2, 2) and h.shape == (*batch, 3, 2)
+    for one, two in zip(unstated.step_with_jacobian(0.0, x, u, 0.1), (plant.step(0.0, x, u, 0.1), f), strict=True):
+        np.testing.assert_allclose(one, two, rtol=1e-13, atol=1e-15)
     np.testing.assert_array_equal(f, np.broadcast_to(plant.step_jacobian_at(0.0, x, u, 0.1), f.shape))
     np.testing.assert_array_equal(h, np.broadcast_to(plant.output_jacobian_at(0.0, x, u), h.shape))
     # an input shared by the whole batch serves, too

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.derivatives.differentiable import Differentiable
 from fusion_sfdia.detectors.detector import ProcessHypothesis
 from fusion_sfdia.filters.estimators import UNUSED, Extended, GaussianState
 from fusion_sfdia.learning.innovations import held, updated
@@ -94,6 +95,12 @@ class FrozenFilter:
         x0[n : n + self.values.size] = self.values
         return replace(model, x0=x0)
 
+    @cached_property
+    def _stepped(self) -> Plant:
+        """That plant, with its step and Jacobian by one call."""
+        both = self.model.step_with_jacobian
+        return self.model if self.model.jacobians[0] else replace(self.model, step=Differentiable(self.model.step, both))
+
     @property
     def counts(self) -> tuple[int, int, int]:
         """Sensors N, states of the augmented plant, unknowns p."""
@@ -119,7 +126,7 @@ class FrozenFilter:
     def step(self, now: Tracked, t_start: float, dt: float, y: Array, u: Array) -> tuple[Tracked, FrozenRow]:
         """After the readings y (*batch, N) at t_start + dt under u (*batch, m)."""
         count, n = len(self.plant.sensors), len(self.plant.states)
-        prior, joint, y, used, half, normal, gain_half, core = updated(self.model, now.core, t_start, dt, y, u)
+        prior, joint, y, used, half, normal, gain_half, core = updated(self._stepped, now.core, t_start, dt, y, u)
         assert prior.tangent is not None and joint.H is not None
         tangent, readout = prior.tangent, joint.H
         own = np.eye(count, now.effect.shape[-1]) if self.of_sensors else 0.0
