@@ -142,12 +142,12 @@ class Means(NamedTuple):
     g: Array
 
     def explained(self, by_cause: Array, beside: Array | None = None) -> tuple[Array, Array, Array, Array]:
-        """What causes explain of the windows, see there; by_cause (W, B, N, M)."""
+        """What causes explain of the windows (`window_means`); by_cause (W, B, N, M), beside (W, B, N)."""
         many = len(self.g)
         return explained(self.spread, self.m[:many], self.known[:many], by_cause, self.g, beside)
 
     def late(self, by_cause: Array, beside: Array | None = None) -> tuple[Array, Array, Array, Array]:
-        """What they explain of the last quarter of each long window and of the last rows (2, L, B)."""
+        """What they explain of the last quarter of each of the L long windows, and of the last rows (2, L, B)."""
         late, long = LATE[:, : len(self.g) - SHORT], slice(SHORT, None)
         spread, beside = Spread(*(a[long] for a in self.spread)), None if beside is None else beside[long]
         return explained(spread, self.m[late], self.known[late], by_cause[long], self.g[long], beside)
