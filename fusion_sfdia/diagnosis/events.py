@@ -495,15 +495,17 @@ def continued(events: Sequence[Event], t: Array) -> tuple[Event, ...]:
     These are two of which the second is among the `follow_ups` of the first with another finding in between, so that the alarm
     has not ended, is to the same side and at least `STAYS` as large. The one event has the size of the second, and takes the
     place of what was found in between without a name, several readings that moved together, this one among the most, or a
-    process that did not fit: the sensor explains it.
+    process that did not fit: the sensor explains it. The first of less than LASTING samples may be of spikes as well: so few
+    show no kind.
     """
     found = list(events)
     for e in sorted((e for e in events if e.kind == "sensor"), key=lambda e: e.start, reverse=True):
         *between, last = follow_ups(e, found, t) or (e,)
-        lasting = all(o.kind == "sensor" and o.fault in ("bias", "drift") for o in (e, last))
+        brief = e.fault == "spikes" and np.searchsorted(t, e.end) - np.searchsorted(t, e.start) < LASTING - 1
+        lasting = last.kind == "sensor" and last.fault in ("bias", "drift") and (brief or e.fault in ("bias", "drift"))
         if not (between and lasting and last.hypothesis == e.hypothesis and last.size * np.sign(e.size) >= STAYS * abs(e.size)):
             continue
-        fault = "drift" if "drift" in (e.fault, last.fault) else "bias"
+        fault = "drift" if "drift" in (e.fault, last.fault) else last.fault
         sure = e if e.confidence > last.confidence else last
         one = replace(
             last, start=e.start, fault=fault, confidence=sure.confidence, alternatives=sure.alternatives,

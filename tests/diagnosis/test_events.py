@@ -272,5 +272,8 @@ def test_a_sensor_that_is_named_again_as_far_off_has_one_fault() -> None:
     for other in (replace(last, size=-1.0), replace(last, size=0.3), replace(last, fault="freeze"), of(150, 200, 1.0)):
         assert continued([group, first, other], t) == (group, first, other)
     assert continued([first, of(60, 90, 1.0)], t) == (first, of(60, 90, 1.0))
+    brief = replace(of(49, 50, 0.8), fault="spikes")
+    assert continued([group, brief, last], t) == (replace(last, start=49.0),)
+    assert len(continued([group, replace(brief, start=48.0), last], t)) == 3
     leak = ProcessEvent("leak", 51.0, 120.0, 0.1, "1", False, 0.01, 0.0)
     assert continued([leak, first, last], t) == (leak, replace(last, start=10.0))
