@@ -10,7 +10,16 @@ from pathlib import Path
 from textwrap import indent
 from typing import Any
 
-from fusion_sfdia.cli.options import add_absent_sensors, add_ending, add_names, add_tables, exit_code, printed_warnings
+from fusion_sfdia.cli.options import (
+    add_absent_sensors,
+    add_ending,
+    add_names,
+    add_tables,
+    drives_of,
+    exit_code,
+    names,
+    printed_warnings,
+)
 from fusion_sfdia.common.numerals import integer
 
 
@@ -30,6 +39,13 @@ def add_monitor(commands: Any) -> None:
     one.add_argument("--data", type=Path, metavar="LOG.csv", help="the log to diagnose, of the same columns")
     add_names(one, "--inputs", "columns that act on the plant, such as a load or valves", [])
     add_names(one, "--ignore", "columns that are left out", [])
+    one.add_argument(
+        "--same", type=names, action="append", default=[], metavar="NAME,...",
+        help="sensors that measure one quantity, up to an offset and a gain; repeatable",
+    )  # fmt: skip
+    one.add_argument(
+        "--drives", action="append", default=[], metavar="INPUT=NAME,...", help="sensors that move with an input; repeatable"
+    )
     add_absent_sensors(one)
     one.add_argument("--map", type=Path, metavar="MAP.toml", help="how the logs are written, and which columns are used")
     one.add_argument("--false-alarm", metavar="RATE", help="rows in alarm: 1/day, 2/hour or a share (default: 0.01)")
@@ -66,8 +82,11 @@ def _monitor(chosen: argparse.Namespace) -> int:
         )
     if bool(chosen.healthy) == bool(chosen.monitor):
         raise ValueError("state healthy logs with --healthy, or what was learnt from them before with --monitor")
-    if chosen.monitor and (chosen.inputs or chosen.ignore or chosen.false_alarm or (chosen.save and not chosen.update)):
-        raise ValueError("--inputs, --ignore, --false-alarm and --save are for learning; leave them out beside --monitor")
+    learning = (chosen.inputs, chosen.ignore, chosen.same, chosen.drives, chosen.false_alarm, chosen.save and not chosen.update)
+    if chosen.monitor and any(learning):
+        raise ValueError(
+            "--inputs, --ignore, --same, --drives, --false-alarm and --save are for learning; leave them out beside --monitor"
+        )
     if chosen.update and not (chosen.monitor and chosen.save):
         raise ValueError(
             "--update takes later logs into what --monitor has; state both, and where to keep the new one with --save"
@@ -93,6 +112,7 @@ def _learnt(chosen: argparse.Namespace, say: Any) -> Any:
     else:
         monitor = Monitor.fit(
             chosen.healthy, inputs=chosen.inputs, ignore=chosen.ignore, log_map=chosen.map, each=progress,
+            same=chosen.same, drives=drives_of(chosen.drives),
             false_alarm=chosen.false_alarm or FALSE_ALARM, say=lambda path, log: say(f"{path}:\n{indent(str(log), '  ')}"),
         )  # fmt: skip
     if chosen.save:

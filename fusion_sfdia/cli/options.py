@@ -129,11 +129,23 @@ def exit_code(chosen: argparse.Namespace, found: Diagnosis, read: LoadedLog) -> 
 
 def add_names(one: Any, option: str, what: str, default: list[str] | None = None) -> None:
     """Add an option of names separated by commas, which may be given several times."""
-    one.add_argument(option, type=_names, action="extend", default=default, metavar="NAME,...", help=what)
+    one.add_argument(option, type=names, action="extend", default=default, metavar="NAME,...", help=what)
 
 
-def _names(text: str) -> list[str]:
+def names(text: str) -> list[str]:
+    """The names in a text, separated by commas."""
     return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def drives_of(given: list[str]) -> dict[str, list[str]]:
+    """What each input drives, of the texts of --drives; ValueError for others."""
+    found: dict[str, list[str]] = {}
+    for text in given:
+        driver, _, driven = (part.strip() for part in text.partition("="))
+        if not driver or not names(driven):
+            raise ValueError(f"--drives {text}; expected an input and what it drives, as in pump=flow,pressure")
+        found.setdefault(driver, []).extend(names(driven))
+    return found
 
 
 def warn(text: object) -> None:

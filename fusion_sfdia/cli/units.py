@@ -13,6 +13,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from fusion_sfdia.cli.options import drives_of
+
 SUFFIXES = (".csv", ".parquet")
 TABLE, PAGE, REPORTS = "units.csv", "units.html", "units"
 
@@ -22,6 +24,7 @@ def diagnose_units(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.common.files import all_or_none, locked
     from fusion_sfdia.learning.monitor.monitor import FALSE_ALARM
     from fusion_sfdia.logs.loaded_log import counted
+    from fusion_sfdia.logs.physics import Physics
     from fusion_sfdia.report.units_page import COLUMNS, write_units
 
     beside = {"--healthy": chosen.healthy, "--monitor": chosen.monitor, "--data": chosen.data, "--save": chosen.save}
@@ -37,7 +40,7 @@ def diagnose_units(chosen: argparse.Namespace) -> int:
     say = partial(print, file=sys.stderr if chosen.json else sys.stdout, flush=True)
     settings = {
         "inputs": chosen.inputs, "ignore": chosen.ignore, "log_map": chosen.map, "learn": chosen.learn,
-        "false_alarm": chosen.false_alarm or FALSE_ALARM,
+        "false_alarm": chosen.false_alarm or FALSE_ALARM, "physics": Physics(chosen.same, drives_of(chosen.drives)),
     }  # fmt: skip
     out = chosen.out or Path("monitor") / "units"
     with locked(out, force=chosen.force), tempfile.TemporaryDirectory() as folder, _at_work(chosen) as work_off:
@@ -141,7 +144,11 @@ def _unit(task: Mapping[str, Any]) -> dict[str, Any]:
     t = read.log.t
     inside = within(t, task["learn"], read.clock, "--learn") if task["learn"] else np.arange(t.size) < t.size / 2
     healthy = read.log.rows(inside)
-    monitor = Monitor.of_logs(sensors, [healthy], inputs=inputs, false_alarm=task["false_alarm"], clocks=[read.clock])
+    physics = log_map.physics.beside(task["physics"])
+    monitor = Monitor.of_logs(
+        sensors, [healthy], inputs=inputs, false_alarm=task["false_alarm"], clocks=[read.clock],
+        same=physics.same, drives=physics.drives,
+    )  # fmt: skip
     found = monitor.diagnose(read)
     state, verdict = str(found.state), found.verdict
     brief = [

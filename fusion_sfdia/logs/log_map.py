@@ -17,6 +17,7 @@ from zoneinfo import ZoneInfo
 from fusion_sfdia.common.arguments import number, shown, whole
 from fusion_sfdia.common.numerals import code
 from fusion_sfdia.logs.epochs import NAMES, SECONDS, count_of
+from fusion_sfdia.logs.physics import Physics
 from fusion_sfdia.logs.problems import Problems
 
 AT_THE_SAMPLE, UNTIL_THE_SAMPLE = "at the sample", "until the sample"
@@ -155,6 +156,8 @@ class LogMap:
         Titles of a long format, with one value a row.
     columns : mapping of str to Column, default {}
         What each column is, by title; for columns that are not among them, their own title.
+    physics : Physics, default Physics()
+        What `monitor` is to know of the columns, by their names.
 
     Raises
     ------
@@ -199,6 +202,7 @@ class LogMap:
     tag: str = ""
     value: str = ""
     columns: Mapping[str, Column] = field(default_factory=dict)
+    physics: Physics = field(default_factory=Physics)
 
     def __post_init__(self) -> None:
         for what in ("time", "mask", "bad"):
@@ -264,7 +268,7 @@ class LogMap:
 
 
 def load_map(path: str | Path) -> LogMap:
-    r"""Return the LogMap of a file in TOML, with the tables [log] and [columns].
+    r"""Return the LogMap of a file in TOML, with the tables [log], [columns] and [physics].
 
     Parameters
     ----------
@@ -296,9 +300,14 @@ def load_map(path: str | Path) -> LogMap:
     try:
         found = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} is not TOML ({error}); expected the tables [log] and [columns]") from error
+        raise ValueError(f"{path} is not TOML ({error}); expected the tables [log], [columns] and [physics]") from error
     problems = Problems(str(path))
-    tables = _known(problems, "", found, ("log", "columns"), tables=True)
+    tables = _known(problems, "", found, ("log", "columns", "physics"), tables=True)
+    physics = Physics()
+    try:
+        physics = Physics(**_known(problems, "[physics] ", tables.get("physics", {}), [f.name for f in fields(Physics)]))
+    except ValueError as error:
+        problems.add("map", f"[physics] {error}")
     columns = {}
     for title, what in tables.get("columns", {}).items():
         where = f"column {title!r}: "
@@ -310,9 +319,11 @@ def load_map(path: str | Path) -> LogMap:
             columns[title] = Column(**given)
         except ValueError as error:
             problems.add("map", f"{where}{error}")
-    given = _known(problems, "[log] ", tables.get("log", {}), [f.name for f in fields(LogMap) if f.name != "columns"])
+    given = _known(
+        problems, "[log] ", tables.get("log", {}), [f.name for f in fields(LogMap) if f.name not in ("columns", "physics")]
+    )
     try:
-        made = LogMap(**given, columns=columns)
+        made = LogMap(**given, columns=columns, physics=physics)
     except ValueError as error:
         groups = [{key} for key in given if not any(key in together for together in TOGETHER)]
         alone = [text for keys in (*TOGETHER, *groups) if (text := _refusal({k: given[k] for k in given if k in keys}))]

@@ -14,6 +14,8 @@ from diagnosis_schema import require_described
 
 from fusion_sfdia.cli.main import main
 from fusion_sfdia.learning.monitor.held_out import BLOCKS
+from fusion_sfdia.learning.monitor.monitor import Monitor
+from fusion_sfdia.logs.physics import Physics
 from fusion_sfdia.plant.log import Log
 
 DT = 10.0
@@ -132,6 +134,8 @@ def test_a_log_is_diagnosed_and_what_was_learnt_is_kept(
         (["--healthy", "log.csv", "--monitor", "m.sfdia"], "state healthy logs with --healthy"),
         (["--healthy", "log.csv"], "state the log to diagnose with --data"),
         (["--monitor", "m.sfdia", "--data", "log.csv", "--inputs", "load"], "are for learning"),
+        (["--monitor", "m.sfdia", "--data", "log.csv", "--same", "a,b"], "are for learning"),
+        (["--healthy", "log.csv", "--save", "m.sfdia", "--drives", "load"], "expected an input and what it drives"),
         (["--monitor", "m.sfdia", "--data", "log.csv"], "cannot be read"),
     ],
 )
@@ -142,6 +146,20 @@ def test_arguments_that_do_not_go_together_are_refused(
     assert main(["monitor", *arguments]) == 2
     assert message in capsys.readouterr().err
     assert not list((tmp_path / "monitor").glob("*/*.html"))
+
+
+def test_physics_is_stated_by_options_and_by_the_map(
+    healthy: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept, log_map = str(tmp_path / "plant.sfdia"), tmp_path / "map.toml"
+    log_map.write_text('[physics]\nsame = ["a", "c"]\n')
+    options = ["--same", "b,d", "--drives", "load=a, b", "--drives", "load=c", "--map", str(log_map)]
+    assert main(["monitor", *healthy, *options, "--save", kept]) == 0
+    told = ["a, c: stated to measure one quantity", "b, d: stated to measure one quantity", "a, b, c: stated to move with load"]
+    assert [line for line in capsys.readouterr().out.splitlines() if " stated to " in line] == told
+    assert Monitor.load(kept).physics == Physics([["a", "c"], ["b", "d"]], {"load": ["a", "b", "c"]})
+    assert main(["monitor", *healthy, "--same", "a,e", "--save", kept]) == 2
+    assert "same: 'e' is no column of the logs; expected a sensor, one of a, b, c, d" in capsys.readouterr().err
 
 
 def test_an_input_that_no_log_has_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -54,7 +54,9 @@ def test_a_file_and_an_object_are_the_same_map(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("time = ", r"is not TOML \(.*\); expected the tables \[log\] and \[columns\]"),
+        ("time = ", r"is not TOML \(.*\); expected the tables \[log\], \[columns\] and \[physics\]"),
+        ("[physics]\nsame = [['a']]\n", r"\[physics\] same: a is no group; expected two sensors or more"),
+        ("[physics]\ndrive = {}\n", r"\[physics\] unknown key 'drive'; did you mean 'drives'\?"),
         ("[logs]\n", r"unknown key 'logs'; did you mean 'log'\?"),
         ("log = 1\n", r"log is 1; expected a table \[log\]"),
         ("[log]\nseperator = ';'\n", r"\[log\] unknown key 'seperator'; did you mean 'separator'\?"),

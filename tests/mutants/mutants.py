@@ -225,6 +225,13 @@ MUTANTS = (
         quick=False,
     ),
     Mutant(
+        "fusion_sfdia/learning/monitor/causes.py",
+        "initial=np.inf) > EVIDENCE]",
+        "initial=np.inf) < EVIDENCE]",
+        "tests/learning/monitor/test_stated_physics.py::test_of_two_of_one_quantity_the_one_that_stepped_is_named",
+        quick=False,
+    ),
+    Mutant(
         "fusion_sfdia/learning/monitor/judging.py",
         "(how_many >= 3)",
         "(how_many >= 30)",

@@ -23,6 +23,11 @@ NEAR = 0.4  # by so much more may be left by a rival
 SMALL = 0.15  # or so small a share of the largest ratio; chosen on a recorded fault of the chemical plant (d05)
 TWO = 8  # sensors, from which on two may be named
 CLEAR = 2.0  # times its limit that the first of two leaves, from which on the second is named, too, and not suspected
+WORSE = 2.0  # times as far off as it disagrees with others of its quantity: a sensor that is not wrong alone
+EVIDENCE = (
+    0.6  # difference of squares of two of one quantity, in limits: a ratio of likelihoods above 100 where limits are 4 sd
+)
+QUIET = 0.5  # of how far a reading is off, in limits, up to which others that its input drives have not moved with it
 HOLD = 4  # windows of the scale that saw it, for which a process verdict keeps sensors from being named
 REST = 16  # rows without trouble after which it is over
 
@@ -52,7 +57,8 @@ class Trouble(NamedTuple):
     """What of the rows before decides whether sensors are named, counted to the next row.
 
     until, last: rows until which the process keeps them from it, and since the last row in trouble, negative; process, sensor:
-    rows of such verdicts since the trouble began; moved (n,): sensors that have "moved" since.
+    rows of such verdicts since the trouble began; moved (n,): sensors that have "moved" since. agreed, apart (N,): rows since a
+    sensor disagreed with others of its quantity, and how much more it was off than these since then.
     """
 
     until: int
@@ -60,15 +66,17 @@ class Trouble(NamedTuple):
     process: int
     sensor: int
     moved: Array
+    agreed: Array
+    apart: Array
 
     @classmethod
-    def none(cls, channels: int) -> Trouble:
+    def none(cls, channels: int, sensors: int) -> Trouble:
         """At the beginning."""
-        return cls(-1, -REST - 1, 0, 0, np.zeros(channels, bool))
+        return cls(-1, -REST - 1, 0, 0, np.zeros(channels, bool), np.full(sensors, REST + 1), np.zeros(sensors))
 
 
-def causes(learnt: LearntLimits, found: Judged, before: Trouble | None = None) -> tuple[Causes, Trouble]:
-    """The verdict of each row, and what the next ones take from them."""
+def causes(learnt: LearntLimits, found: Judged, driven: Array, before: Trouble) -> tuple[Causes, Trouble]:
+    """The verdict of each row, and what the next ones take from them; driven (K, N): sensors whose input is as never learnt."""
     tests = learnt.limits.tests
     total, n = found.ratio.shape[1:]
     channels = found.means[1].now.shape[1]
@@ -84,20 +92,44 @@ def causes(learnt: LearntLimits, found: Judged, before: Trouble | None = None) -
     size = np.full((total, n), np.nan)
     scale = np.array([t.scale for t in tests])[np.argmax(ratio.max(axis=2), axis=0)]
     rows = np.flatnonzero((top > 1) | outside)
+    compared = np.array([t.kind == "same" for t in tests])
+    same = ratio[compared].max(axis=0, initial=0.0)
+    apart, before = _apart(found.apart, same, before)
+    proven = np.zeros(named.shape, bool)
     if rows.size:
-        _explain(learnt, found, ratio[:, rows], rows, (kind, named, suspect, size))
+        left, nov = _explain(learnt, found, ratio[:, rows], rows, (kind, named, suspect))
+        _by_same(learnt, found, rows, (left, nov), (same[rows], apart[rows]), (kind, named, suspect, proven))
+        _sizes(learnt, found, rows, ratio[:, rows], named | suspect, size)
+        _agreeing(learnt, found, rows, ratio[:, rows], (kind, named, suspect, proven, size))
+        _words(learnt, found, rows, (ratio[:, rows], driven), (kind, named, suspect, proven))
+        size[~named[:, :n]] = np.nan
     named[:, :n] |= found.stopped
     kind[found.stopped.any(axis=1) & (kind == OK)] = SENSOR
     kind[found.together] = RECORDER
     named[found.together] = suspect[found.together] = False
-    trouble = _hold((kind, named, suspect), found.stopped, scale, before or Trouble.none(channels))
+    sure = proven
+    sure[:, :n] |= found.stopped
+    trouble = _hold((kind, named, suspect), sure, found.stopped, scale, before)
     shown = np.maximum(top, np.where(found.stopped.any(axis=1), found.ratio[stops].max(axis=(0, 2)), 0.0))
     shown = np.maximum(shown, np.maximum(found.novel.max(axis=0), found.unlike.max(axis=1)))
     return Causes(kind, named, suspect, size, scale, shown, outside), trouble
 
 
-def _explain(learnt: LearntLimits, found: Judged, ratio: Array, rows: Array, into: tuple[Array, ...]) -> None:
-    kind, named, suspect, size = into
+def _apart(apart: Array, same: Array, before: Trouble) -> tuple[Array, Trouble]:
+    """The most by which sensors were further off than others of their quantity (K, N), since these disagree by half a limit."""
+    found, agreed, most = apart.copy(), before.agreed, before.apart
+    if apart.any():
+        for k in range(len(apart)):
+            agreed = np.where(same[k] > 0.5, 0, agreed + 1)
+            found[k] = most = np.where(agreed <= REST, np.maximum(most, apart[k]), apart[k])
+    return found, before._replace(agreed=agreed, apart=most)
+
+
+def _explain(
+    learnt: LearntLimits, found: Judged, ratio: Array, rows: Array, into: tuple[Array, Array, Array]
+) -> tuple[Array, Array]:
+    """The verdicts of rows by what leaving sensors out explains; what each channel leaves, and the novelty then (R, n)."""
+    kind, named, suspect = into
     tests = learnt.limits.tests
     n, channels = ratio.shape[2], found.means[1].now.shape[1]
     slow = np.array([t.kind in ("level", "change") for t in tests])
@@ -109,6 +141,7 @@ def _explain(learnt: LearntLimits, found: Judged, ratio: Array, rows: Array, int
     np.put_along_axis(tried, order, True, axis=1)
     tried[:, :n] &= by_sensor > 0
     tried[:, n:] = True
+    tried[:, :n] |= ratio[[t.kind == "same" for t in tests]].max(axis=0, initial=0.0) > 1
     partner = learnt.limits.partner
     for i in np.flatnonzero(partner >= 0):
         tried[:, partner[i]] |= tried[:, i]
@@ -165,8 +198,49 @@ def _explain(learnt: LearntLimits, found: Judged, ratio: Array, rows: Array, int
         suspect[rows[r], :n] |= drifted[r]
         named[rows[r], :n] &= ~drifted[r]
         kind[rows[r]] = kind[rows[r]] if named[rows[r]].any() else OUTSIDE
-    _sizes(learnt, found, rows, ratio, named, size)
-    _words(learnt, ratio, rows, kind, named, suspect)
+    return left, nov
+
+
+def _by_same(
+    learnt: LearntLimits, found: Judged, rows: Array, without: tuple[Array, Array], of_rows: tuple[Array, Array],
+    into: tuple[Array, Array, Array, Array],
+) -> None:  # fmt: skip
+    """What disagreement with others of one quantity decides, see `stated_physics`; of_rows: its ratios, and `_apart`."""
+    (left, nov), (same, apart), (kind, named, suspect, proven) = without, of_rows, into
+    for of in learnt.stated.groups:
+        for r in np.flatnonzero((same[:, of] > 1).any(axis=1)).tolist():
+            row, over = rows[r], of[same[r, of] > 1]
+            known = of[~found.stopped[row, of]]
+            wrong = over if known.size > 2 else known[apart[r, known] - np.min(apart[r, known], initial=np.inf) > EVIDENCE]
+            if wrong.size == 1 and left[r, wrong[0]] <= 1 and nov[r, wrong[0]] <= 1:
+                kind[row], proven[row, wrong] = SENSOR, True
+                named[row], suspect[row] = proven[row], False
+            elif wrong.size != 1 and kind[row] in (SENSOR, ONE_OF) and (named | suspect)[row, of].any():
+                kind[row], suspect[row, over] = ONE_OF, True
+                named[row] = suspect[row, learnt.limits.limit.shape[1] :] = False
+
+
+def _agreeing(
+    learnt: LearntLimits, found: Judged, rows: Array, ratio: Array, into: tuple[Array, Array, Array, Array, Array]
+) -> None:
+    """A sensor whose level is off, and that agrees with others of its quantity, is not wrong: the quantity has moved."""
+    kind, named, suspect, proven, size = into
+    n, gain = size.shape[1], np.abs(learnt.stated.gain)
+    levels = [k for k, t in enumerate(learnt.limits.tests) if t.kind == "level"]
+    by, top = (
+        np.array([learnt.limits.tests[k].scale for k in levels])[np.argmax(ratio[levels], axis=0)],
+        ratio[levels].max(axis=0),
+    )
+    for w, disagree in found.disagree.items():
+        d = disagree[rows]
+        with np.errstate(invalid="ignore"):
+            agrees = (by == w) & (top > 1) & (WORSE * d < np.abs(size[rows]) * gain) & ~proven[rows][:, :n]
+        for r in np.flatnonzero((agrees & (named | suspect)[rows][:, :n]).any(axis=1)):
+            row = rows[r]
+            named[row, :n] &= ~agrees[r]
+            suspect[row, :n] &= ~agrees[r]
+            if not (named | suspect)[row].any():
+                kind[row] = OUTSIDE if found.outside[row] else PROCESS
 
 
 def _without(
@@ -235,8 +309,11 @@ def _sizes(learnt: LearntLimits, found: Judged, rows: Array, ratio: Array, named
             size[at] = np.where(some[own], e.level * e.wider, size[at])
 
 
-def _words(learnt: LearntLimits, ratio: Array, rows: Array, kind: Array, named: Array, suspect: Array) -> None:
+def _words(
+    learnt: LearntLimits, found: Judged, rows: Array, of_rows: tuple[Array, Array], into: tuple[Array, Array, Array, Array]
+) -> None:
     """A sensor that nothing else measures has moved: it or the process."""
+    (ratio, driven), (kind, named, suspect, proven) = of_rows, into
     tests = learnt.limits.tests
     n = ratio.shape[2]
     alone = learnt.limits.explained < WITNESS
@@ -247,8 +324,20 @@ def _words(learnt: LearntLimits, ratio: Array, rows: Array, kind: Array, named: 
     if long:
         by_noise &= ratio[long].max(axis=0) <= 1
     by_noise &= ratio[noisy].max(axis=0) > 1
-    doubt = (kind[rows] == SENSOR)[:, None] & named[rows][:, :n] & alone & ~by_noise
-    for r in np.flatnonzero(doubt.any(axis=1)):
+    by_sensor = ratio.max(axis=0)
+    own = driven[rows] & ~by_noise & ~found.stopped[rows]
+    for r in np.flatnonzero((own & (by_sensor > 1)).any(axis=1) & (kind[rows] != RECORDER)).tolist():
+        row = rows[r]
+        named[row, :n] &= ~own[r]
+        suspect[row, :n] &= ~own[r]
+        if not named[row].any():
+            kind[row], suspect[row] = OUTSIDE, False
+    driver = learnt.stated.driver.astype(float)
+    others = driver @ driver.T * ~np.eye(n, dtype=bool) > 0
+    of_others = np.array([np.max(np.where(others, r, 0.0), axis=1) for r in by_sensor])
+    apart = others.any(axis=1) & (of_others <= QUIET * by_sensor)
+    doubt = (kind[rows] == SENSOR)[:, None] & named[rows][:, :n] & alone & ~by_noise & ~proven[rows][:, :n] & ~apart
+    for r in np.flatnonzero(doubt.any(axis=1)).tolist():
         row = rows[r]
         suspect[row, :n] |= doubt[r]
         named[row, :n] &= ~doubt[r]
@@ -256,13 +345,13 @@ def _words(learnt: LearntLimits, ratio: Array, rows: Array, kind: Array, named: 
             kind[row] = MOVED
 
 
-def _hold(verdicts: tuple[Array, Array, Array], stopped: Array, scale: Array, before: Trouble) -> Trouble:
+def _hold(verdicts: tuple[Array, Array, Array], sure: Array, stopped: Array, scale: Array, before: Trouble) -> Trouble:
     """While trouble is mostly the process, no sensor is named but those that stopped; nor is one that has "moved" before.
 
-    verdicts: kind (K,), named and suspect (K, n), which change.
+    verdicts: kind (K,), named and suspect (K, n), which change. sure (K, n): sensors that are named also if they have moved.
     """
     (kind, named, suspect), n = verdicts, stopped.shape[1]
-    until, last, process, sensor, moved = before._replace(moved=before.moved.copy())
+    until, last, process, sensor, moved, *_ = before._replace(moved=before.moved.copy())
     for k in np.flatnonzero(kind != OK).tolist():
         if k - last > REST and k > until:
             process = sensor = 0
@@ -274,8 +363,7 @@ def _hold(verdicts: tuple[Array, Array, Array], stopped: Array, scale: Array, be
         elif kind[k] in (SENSOR, MOVED, ONE_OF):
             if kind[k] == MOVED:
                 moved |= suspect[k]
-            again = named[k] & moved
-            again[:n] &= ~stopped[k]
+            again = named[k] & moved & ~sure[k]
             if (k <= until or k - last <= REST) and process > sensor:
                 suspect[k] |= named[k]
                 named[k, :n] &= stopped[k]
@@ -287,4 +375,4 @@ def _hold(verdicts: tuple[Array, Array, Array], stopped: Array, scale: Array, be
             sensor += 1
         last = k
     rows = len(kind)
-    return Trouble(until - rows, last - rows, process, sensor, moved)
+    return Trouble(until - rows, last - rows, process, sensor, moved, before.agreed, before.apart)

@@ -37,6 +37,7 @@ from fusion_sfdia.learning.monitor.residuals import (
     stacked,
     tests_of,
 )
+from fusion_sfdia.learning.monitor.stated_physics import Stated
 from fusion_sfdia.learning.monitor.windows import WindowSums, errors, precision_of
 
 Array = NDArray[Any]
@@ -101,12 +102,13 @@ class LearntLimits:
     """What healthy rows teach: the model and the limits of the tests that raise alarms, and the rows between blocks (B + 1,).
 
     absolute: where the blocks are runs, the tests of the means as they are; those that raise alarms are then about the
-    beginning of each operation, which starts anew after `longest` rows, those of the longest run.
+    beginning of each operation, which starts anew after `longest` rows, those of the longest run. stated: physics.
     """
 
     model: Model
     limits: Limits
     edges: Array
+    stated: Stated
     absolute: Family | None = None
     longest: int = 0
 
@@ -117,13 +119,14 @@ class LearntLimits:
 
 
 class _Rows(NamedTuple):
-    """All healthy rows: pieces, the block of each row (K,), how many blocks, whether these are runs, and how many sensors."""
+    """All healthy rows: pieces, the block of each row (K,), how many blocks, whether these are runs, sensors, and physics."""
 
     pieces: Sequence[ScaledRows]
     of: Array
     blocks: int
     are_runs: bool
     sensors: int
+    stated: Stated
 
     @property
     def starts(self) -> Array:
@@ -153,15 +156,14 @@ class _View(NamedTuple):
 
 
 def learn(
-    pieces: Sequence[ScaledRows], count: int, rate: float, logs: Sequence[int] = (), each: Each = in_silence
+    pieces: Sequence[ScaledRows], stated: Stated, rate: float, logs: Sequence[int] = (), each: Each = in_silence
 ) -> LearntLimits:
     """Learn from pieces of healthy rows.
 
-    count: sensors. rate: share of rows in alarm. logs: of which log each piece is; with at least `RUNS` logs, none longer than
-    half of all rows, the blocks are logs: each is a run of its own. each: wraps the blocks, to show
-    progress.
+    stated: physics, of all sensors. rate: share of rows in alarm. logs: of which log each piece is; with at least `RUNS` logs,
+    none longer than half of all rows, the blocks are logs: each is a run of its own. each: wraps the blocks, to show progress.
     """
-    lengths = [len(p.z) for p in pieces]
+    lengths, count = [len(p.z) for p in pieces], stated.group.size
     total = sum(lengths)
     blocks_of_runs = _runs(lengths, list(logs) or [0] * len(pieces))
     if blocks_of_runs is None:
@@ -169,19 +171,19 @@ def learn(
     else:
         edges = np.cumsum([0, *blocks_of_runs])
     of = np.searchsorted(edges, np.arange(total), side="right") - 1
-    rows = _Rows(pieces, of, len(edges) - 1, blocks_of_runs is not None, count)
+    rows = _Rows(pieces, of, len(edges) - 1, blocks_of_runs is not None, count, stated)
     known = [w for w in SCALES if w <= max(total / KNOWN, 1)]
     tested = [w for w in known if w <= max(total / TESTED, 1)]
-    absolute = _view(rows, known)
+    absolute, slow = _view(rows, known), ("level", "change", "same") if stated.groups else ("level", "change")
     if not rows.are_runs:
-        return LearntLimits(*_family(rows, absolute, tests_of(tested, total // TESTED), rate, each), edges)
+        return LearntLimits(*_family(rows, absolute, tests_of(tested, total // TESTED, slow), rate, each), edges, stated)
     shortest = float(np.median(np.diff(edges)))
     relative = [w for w in tested if w <= LONGEST_RELATIVE and settled(w)[1] <= max(shortest / 2, settled(1)[1])]
     of_all = _family(rows, absolute, tuple(t for t in tests_of(tested, 0) if t.kind in ("level", "change")), rate, each)
-    own = _family(rows, _view(rows, relative, relative=True), tests_of(relative, total // TESTED), rate, each)
+    own = _family(rows, _view(rows, relative, relative=True), tests_of(relative, total // TESTED, slow), rate, each)
     explained = np.fmax(own.limits.explained, of_all.limits.explained)
     limits = replace(own.limits, explained=explained, trend=np.zeros(count, bool))
-    return LearntLimits(own.model, limits, edges, of_all, max(lengths))
+    return LearntLimits(own.model, limits, edges, stated, of_all, max(lengths))
 
 
 def _runs(lengths: Sequence[int], logs: Sequence[int]) -> list[int] | None:
@@ -347,6 +349,8 @@ def _statistics(model: Model, tests: Sequence[Test], rows: _Rows, view: _View, o
     for w in {t.scale for t in tests if t.kind == "level"}:
         e = level_errors(by_w[w], view.every[w].at(own), rows.sensors)
         found[Test("level", w)], found[Test("change", w)] = e.level, e.change
+        if Test("same", w) in tests:
+            found[Test("same", w)] = rows.stated.disagreement(view.every[w].at(own), w)
     ahead = np.arange(max(own[0] - max(NOISE), 0), own[0])
     if any(t.kind == "noise" for t in tests):
         early = level_errors(by_w[1], view.every[1].at(ahead), rows.sensors).change
@@ -413,7 +417,7 @@ def _limits(tests: tuple[Test, ...], stats: list[Array], used: list[Array], a: f
     middle = _median(q, 0)
     wild = []
     for b, k, i in np.argwhere(q > WILD * middle).tolist():
-        if tests[k].kind in ("level", "change", "noise"):
+        if tests[k].kind in ("level", "change", "same", "noise"):
             wild.append(UnlikeBlock(b, i, float(q[b, k, i] / middle[k, i])))
     n = q.shape[-1]
     full = limits(np.ones(blocks, bool))

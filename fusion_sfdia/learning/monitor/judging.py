@@ -27,7 +27,7 @@ from fusion_sfdia.learning.monitor.residuals import (
     novelty,
     stacked,
 )
-from fusion_sfdia.learning.monitor.windows import window_sums
+from fusion_sfdia.learning.monitor.windows import Errors, window_sums
 
 Array = NDArray[Any]
 
@@ -38,10 +38,11 @@ FEW = 1 / 3  # share of the sensors that may be off in a row whose far readings 
 class Judged(NamedTuple):
     """Of the rows of a piece: the means of each scale, sizes and ratios of the tests (T,), and novelty.
 
-    means: as the tests take them, every: as they are. ratio (T, K, N): statistic over its limit. novel (S, K): novelty of each
-    scale over its limit. unlike (K, N): how far a sensor is from the learnt runs, or one that drifted when it was learnt from
-    its level, over the limit. stopped (K, N): sensors that repeat their reading or have none for too long; they are left out
-    of all other tests. together (K,): whether sensors stopped at once.
+    means: as the tests take them, every: as they are. ratio (T, K, N): statistic over its limit. novel (S, K): novelty of
+    each scale over its limit. unlike (K, N): how far a sensor is from the learnt runs, or one that drifted when it was learnt
+    from its level, over the limit. stopped (K, N): sensors that repeat their reading or have none for too long; they are left
+    out of all other tests. together (K,): whether sensors stopped at once. apart (K, N): how much more a sensor is off than
+    others of its quantity, see `_apart`. disagree: by how much it disagrees with these, (K, N) of each scale.
     """
 
     tests: tuple[Test, ...]
@@ -52,6 +53,8 @@ class Judged(NamedTuple):
     unlike: Array
     stopped: Array
     together: Array
+    apart: Array
+    disagree: dict[int, Array]
 
     @property
     def outside(self) -> Array:
@@ -128,9 +131,19 @@ def judged(learnt: LearntLimits, rows: ScaledRows, before: Before | None = None)
     every_z = np.concatenate([before.tails.z, z])
     starts = _operations(learnt, every_z, new.start - before.operation, new.start)
     plain = stacked(every_z, [1])
-    own = _as_tested(learnt, plain, starts, [1])[1].at(new)
-    found = level_errors(tested[1], own, n)
-    off = np.fmax(set_ratio("level", 1, found.level), set_ratio("change", 1, found.change))
+    means = {1: _as_tested(learnt, plain, starts, [1])[1].at(new)}
+    disagree: dict[int, Array] = {}
+
+    def set_ratios(w: int) -> Errors:
+        e = level_errors(tested[w], means[w], n)
+        set_ratio("level", w, e.level), set_ratio("change", w, e.change)
+        if Test("same", w) in at:
+            disagree[w] = learnt.stated.disagreement(means[w], w)
+            set_ratio("same", w, disagree[w])
+        return e
+
+    found = set_ratios(1)
+    off = np.fmax(ratio[at[Test("level", 1)]], ratio[at[Test("change", 1)]])
     most = NOISE_CLIP * limits[at[Test("change", 1)]]
     with np.errstate(invalid="ignore"):
         beyond = np.nan_to_num(found.change - np.clip(found.change, -most, most))
@@ -144,10 +157,9 @@ def judged(learnt: LearntLimits, rows: ScaledRows, before: Before | None = None)
     noisy = {w: noise(known.change, w, most)[new] for w in NOISE}
     novel = np.stack([_novelty(scale, every[scale.w].now) for scale in learnt.familiar])
     short = [w for w in tested if w <= QUIET]
-    means = {**{w: m.at(new) for w, m in _as_tested(learnt, full, starts, short).items()}, 1: own}
+    means |= {w: m.at(new) for w, m in _as_tested(learnt, full, starts, short[1:]).items()}
     for w in short[1:]:
-        e = level_errors(tested[w], means[w], n)
-        set_ratio("level", w, e.level), set_ratio("change", w, e.change)
+        set_ratios(w)
     if Test("noise", QUIET) in at:
         set_ratio("noise", QUIET, noisy[QUIET])
     fast = np.array([scale.w <= QUIET for scale in learnt.familiar])
@@ -163,8 +175,7 @@ def judged(learnt: LearntLimits, rows: ScaledRows, before: Before | None = None)
     long = [w for w in tested if w > QUIET]
     means |= {w: m.at(new) for w, m in _as_tested(learnt, full, starts, long).items()}
     for w in long:
-        e = level_errors(tested[w], means[w], n)
-        set_ratio("level", w, e.level), set_ratio("change", w, e.change)
+        set_ratios(w)
     change = np.where(trouble, np.nan, known.change)
     stops = known.stops[:, None].astype(float)
     for w in NOISE:
@@ -175,8 +186,9 @@ def judged(learnt: LearntLimits, rows: ScaledRows, before: Before | None = None)
     drifted = np.flatnonzero(learnt.limits.trend)  # while they were learnt: too little is known of their level
     unlike[:, drifted] = np.fmax(unlike[:, drifted], ratio[np.ix_(levels, np.arange(len(z)), drifted)].max(axis=0))
     ratio[np.ix_(levels, np.arange(len(z)), drifted)] = 0.0
+    apart = _apart(learnt, tested, means, limits)
     left = Before(known.last(reach(learnt)), len(every_z) - starts[-1])
-    return Judged(tests, means, every, ratio, novel, unlike, stopped, together), left
+    return Judged(tests, means, every, ratio, novel, unlike, stopped, together, apart, disagree), left
 
 
 def _as_tested(learnt: LearntLimits, every: dict[int, Means], starts: Sequence[int], scales: Sequence[int]) -> dict[int, Means]:
@@ -221,6 +233,29 @@ def _unlike(learnt: LearntLimits, every: dict[int, Means], n: int) -> Array:
             values = e.level if test.kind == "level" else e.change
             with np.errstate(invalid="ignore"):
                 found = np.fmax(found, np.nan_to_num(np.abs(values) / limits.limit[k]))
+    return found
+
+
+def _apart(learnt: LearntLimits, tested: dict[int, Scale], means: dict[int, Means], limits: Array) -> Array:
+    """By how much more each sensor is off than the others of its quantity, each judged without these (K, N), else 0.
+
+    The largest difference of the squares of errors over their limits, of one test at a time.
+    """
+    n, at = limits.shape[1], {test: k for k, test in enumerate(learnt.limits.tests)}
+    found = np.zeros((len(means[1].now), n))
+    for of in learnt.stated.groups:
+        for w, scale in tested.items():
+            squares = np.zeros((2, len(found), len(of)))
+            for k, i in enumerate(of):
+                alone = means[w]
+                for other in of[of != i]:
+                    alone = alone.without(int(other))
+                e = level_errors(scale, alone, n)
+                for which, (kind, values) in enumerate((("level", e.level), ("change", e.change))):
+                    squares[which, :, k] = np.nan_to_num(values[:, i] / limits[at[Test(kind, w)], i]) ** 2
+            for k, i in enumerate(of):
+                more = squares[:, :, k] - np.delete(squares, k, axis=2).max(axis=2)
+                found[:, i] = np.maximum(found[:, i], more.max(axis=0))
     return found
 
 

@@ -33,14 +33,14 @@ class Past(NamedTuple):
     @classmethod
     def none(cls, channels: Channels, learnt: LearntLimits) -> Past:
         """At the beginning of a piece."""
-        return cls(Ahead.none(channels), Before.none(learnt), Trouble.none(len(channels.used)))
+        return cls(Ahead.none(channels), Before.none(learnt), Trouble.none(len(channels.used), channels.count))
 
 
 def follow(channels: Channels, learnt: LearntLimits, t: Array, v: Array, past: Past) -> tuple[Verdicts, Past]:
     """The verdicts on rows of the grid at t (K,), readings v (K, n) of all columns, and what is past for the next ones."""
     rows, ahead = rows_of(channels, v, past.ahead)
     tests, before = judged(learnt, rows, past.before)
-    by, trouble = causes(learnt, tests, past.trouble)
+    by, trouble = causes(learnt, tests, learnt.stated.beyond(v), past.trouble)
     return verdicts_of(channels, t, v, tests, by), Past(ahead, before, trouble)
 
 

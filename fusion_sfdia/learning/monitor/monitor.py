@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +24,12 @@ from fusion_sfdia.learning.monitor.live_monitor import LiveMonitor, Past, follow
 from fusion_sfdia.learning.monitor.residuals import rows_of
 from fusion_sfdia.learning.monitor.row_verdicts import JOINED, SECONDS, Verdicts, diagnosed, joined_verdicts, plant_of
 from fusion_sfdia.learning.monitor.saved import packed, unpacked
+from fusion_sfdia.learning.monitor.stated_physics import learn_stated
 from fusion_sfdia.learning.monitor.unmodelled_logs import load, signals_of
 from fusion_sfdia.logs.check import unlike_healthy
 from fusion_sfdia.logs.loaded_log import LoadedLog
 from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap, load_map
+from fusion_sfdia.logs.physics import Physics
 from fusion_sfdia.plant.gaps import LONG, SKIPPED
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
@@ -43,7 +45,7 @@ LEAST = 64  # healthy rows
 AT_ONCE = 4096  # rows: of more, a log is judged in parts
 CHANGED = 1.25  # factor of a limit that is worth a line
 FEWEST, CLOSEST = 20, 0.1  # rows of a log from which on its step is judged, by this quantile of their distances
-VERSION = 2
+VERSION = 3
 NAME, BASIS = "the monitor", "judged by healthy logs, without a model"
 
 
@@ -69,6 +71,8 @@ class Monitor:
         They, in rows of the grid.
     remarks : tuple of str
         What is to be known of what was learnt.
+    physics : Physics
+        What was stated of it.
 
     Examples
     --------
@@ -94,6 +98,7 @@ class Monitor:
     healthy: tuple[tuple[str, int, str, str], ...]
     logs: tuple[Log, ...]
     remarks: tuple[str, ...] = field(default=())
+    physics: Physics = field(default_factory=Physics)
 
     @classmethod
     def fit(
@@ -104,6 +109,8 @@ class Monitor:
         ignore: Sequence[str] = (),
         log_map: LogMap | str | Path | None = None,
         false_alarm: float | str | Rate = FALSE_ALARM,
+        same: Sequence[str] | Sequence[Sequence[str]] = (),
+        drives: Mapping[str, str | Sequence[str]] | None = None,
         say: Callable[[Any, LoadedLog], object] = lambda source, log: None,
         each: Each = in_silence,
     ) -> Monitor:
@@ -121,6 +128,10 @@ class Monitor:
             How the logs are written, or the file that states it.
         false_alarm : float, str or Rate, default 0.01
             Share of rows in alarm, or such as "1/week".
+        same : sequence of str, or of such, default ()
+            Sensors that measure one quantity, up to an offset and a gain, or several groups of such, beside those of the map.
+        drives : mapping of str to str or sequence of str, optional
+            Of inputs the sensors that move with them, beside those of the map.
         say : callable, optional
             Called with each source and its log as it was read.
         each : callable, optional
@@ -146,9 +157,10 @@ class Monitor:
             loaded.append(load(source, sensors, signals, written))
             say(source, loaded[-1])
         names = list(map(_name, sources, range(1, len(sources) + 1)))
+        physics = written.physics.beside(Physics(same, drives or {}))
         return cls.of_logs(
             sensors, [one.log for one in loaded], inputs=signals, false_alarm=false_alarm, names=names,
-            clocks=[one.clock for one in loaded], each=each,
+            clocks=[one.clock for one in loaded], each=each, same=physics.same, drives=physics.drives,
         )  # fmt: skip
 
     @classmethod
@@ -160,6 +172,8 @@ class Monitor:
         inputs: Sequence[Signal] = (),
         false_alarm: float | str | Rate = FALSE_ALARM,
         dt: float | None = None,
+        same: Sequence[str] | Sequence[Sequence[str]] = (),
+        drives: Mapping[str, str | Sequence[str]] | None = None,
         names: Sequence[str] = (),
         clocks: Sequence[Clock] = (),
         each: Each = in_silence,
@@ -178,6 +192,10 @@ class Monitor:
             Share of rows in alarm, or such as "1/day".
         dt : float, optional
             Step of the grid in s, None for that of the logs.
+        same : sequence of str, or of such, default ()
+            Sensors that measure one quantity, as for `fit`.
+        drives : mapping of str to str or sequence of str, optional
+            Of inputs the sensors that move with them.
         names : sequence of str, default ()
             Of the logs.
         clocks : sequence of Clock, default ()
@@ -193,7 +211,7 @@ class Monitor:
         Raises
         ------
         ValueError
-            For logs that do not fit, that are too short, or of which no channel can be learnt.
+            For logs that do not fit, that are too short, or of which no channel can be learnt, and for names that they lack.
         """
         if not healthy:
             raise ValueError("there are no healthy logs; expected at least one")
@@ -203,6 +221,8 @@ class Monitor:
                     f"healthy log {k} has y of shape {np.shape(log.y)} and u of shape {np.shape(log.u)}; expected "
                     f"{len(sensors)} sensors and {len(inputs)} inputs, a row a time"
                 )
+        physics = Physics(same, drives or {})
+        physics.require(sensors, inputs)
         dt = dt or usual_step(healthy)
         stated = Rate.of(false_alarm)
         logs = [pieces_of(log, dt) for log in healthy]
@@ -214,7 +234,9 @@ class Monitor:
         least = SUPPORTED / rows
         pieces = [p for log in logs for p in log]
         of = [k for k, log in enumerate(logs) for _ in log]
-        learnt = learn([rows_of(channels, p.v)[0] for p in pieces], channels.count, max(per_row, least), of, each)
+        scaled = [rows_of(channels, p.v)[0] for p in pieces]
+        learnt_physics, unused = learn_stated(physics, channels, [s.z for s in scaled], [p.v for p in pieces])
+        learnt = learn(scaled, learnt_physics, max(per_row, least), of, each)
         clocks = list(clocks) or [SECONDS] * len(healthy)
         named = list(names) or [f"healthy log {k}" for k in range(1, len(healthy) + 1)]
         origin = tuple(
@@ -225,8 +247,8 @@ class Monitor:
             (float(p.t[0]), len(p.t), clock, name) for name, log, clock in zip(named, logs, clocks, strict=True) for p in log
         ]
         gridded = tuple(_as_log([_there(p) for p in log], len(sensors)) for log in logs)
-        found = cls(channels, dt, stated, max(per_row, least), learnt, origin, gridded)
-        return replace(found, remarks=tuple(_remarks(found, rows, per_row, moments)))
+        found = cls(channels, dt, stated, max(per_row, least), learnt, origin, gridded, physics=physics)
+        return replace(found, remarks=(*unused, *_remarks(found, rows, per_row, moments)))
 
     @property
     def plant(self) -> Plant:
@@ -266,8 +288,9 @@ class Monitor:
         names = [*(name for name, *_ in self.healthy), *map(_name, sources, range(len(self.logs) + 1, 10**6))]
         sensors, inputs = self.channels.sensors, self.channels.inputs
         found = Monitor.of_logs(
-            sensors, [*self.logs, *later], inputs=inputs, false_alarm=self.rate, dt=self.dt, names=names, each=each
-        )
+            sensors, [*self.logs, *later], inputs=inputs, false_alarm=self.rate, dt=self.dt, names=names, each=each,
+            same=self.physics.same, drives=self.physics.drives,
+        )  # fmt: skip
         origin = tuple(
             (name, len(log.t), one.clock.at(float(log.t[0])), one.clock.at(float(log.t[-1])))
             for name, log, one in zip(names[len(self.logs) :], later, read, strict=True)
@@ -433,6 +456,7 @@ class Monitor:
             f"learnt from {count} healthy rows, {lasting(self.dt)} apart: {n} sensors, {len(used) - n} inputs; windows of up "
             f"to {max(t.scale for t in self.learnt.limits.tests)} rows",
             self.promise,
+            *str(self.physics).splitlines(),
             *self.remarks,
         ]
         every = (*self.channels.sensors, *self.channels.inputs)
@@ -444,14 +468,14 @@ class Monitor:
             for name, value in self.channels.still.items()
         ]
         units = {s.name: s.unit for s in self.channels.sensors}
+        alone = (self.learnt.limits.explained < WITNESS) & (self.learnt.stated.group < 0)
         for i, (name, sizes) in enumerate(self.smallest().items()):
             if sizes:
                 w = min(sizes, key=lambda k: sizes[k])
-                alone = self.learnt.limits.explained[i] < WITNESS
                 size = with_unit(f"{sizes[w]:.3g}", units[name])
                 lines.append(
                     f"{name}: a lasting bias of {size} is found within {lasting(w * self.dt)}"
-                    + ("; no other channel measures it, so sensor and process cannot be told apart" if alone else "")
+                    + ("; no other channel measures it, so sensor and process cannot be told apart" if alone[i] else "")
                 )
         return "\n".join(lines)
 
@@ -465,7 +489,9 @@ class Monitor:
         """
         arrays, learnt = packed(self.channels, self.learnt)
         about = {"version": VERSION, "dt": self.dt, "rate": str(self.rate), "per_row": self.per_row}
-        text = json.dumps({**about, "healthy": self.healthy, "remarks": self.remarks, **learnt})
+        text = json.dumps(
+            {**about, "healthy": self.healthy, "remarks": self.remarks, "physics": asdict(self.physics), **learnt}
+        )
         rows = {f"log {k} {what}": values for k, log in enumerate(self.logs) for what, values in log._asdict().items()}
         write_arrays(Path(path), {"monitor": np.array(text), **arrays, **rows}, compress=True)
 
@@ -497,7 +523,8 @@ class Monitor:
             healthy = tuple((str(n), int(k), str(a), str(b)) for n, k, a, b in about["healthy"])
             rate, remarks = Rate.of(about["rate"]), tuple(map(str, about["remarks"]))
             logs = tuple(Log(*(arrays[f"log {k} {what}"] for what in Log._fields)) for k in range(len(healthy)))
-            return cls(channels, float(about["dt"]), rate, float(about["per_row"]), learnt, healthy, logs, remarks)
+            physics = Physics(**about["physics"])
+            return cls(channels, float(about["dt"]), rate, float(about["per_row"]), learnt, healthy, logs, remarks, physics)
         except OSError as error:
             raise ValueError(f"{path} cannot be read: {error}") from error
         except (AttributeError, KeyError, TypeError, ValueError) as error:

@@ -41,13 +41,13 @@ LATE = 16  # rows: a level over at least as many needs half of its size from the
 
 
 class Test(NamedTuple):
-    """A test of each sensor: kind (level, change, noise, spike, repeats, missing) and scale in rows."""
+    """A test of each sensor: kind (level, change, same, noise, spike, repeats, missing) and scale in rows."""
 
     kind: str
     scale: int
 
     def __str__(self) -> str:
-        return f"{self.kind} over {self.scale} rows" if self.kind in ("level", "change", "noise") else self.kind
+        return f"{self.kind} over {self.scale} rows" if self.kind in ("level", "change", "same", "noise") else self.kind
 
 
 class Means(NamedTuple):
@@ -201,9 +201,9 @@ def noise(change: Array, w: int, most: Array | float = np.inf) -> Array:
         return np.where(count >= w / 2, np.sqrt(rest), np.nan)
 
 
-def tests_of(scales: Sequence[int], longest: int) -> tuple[Test, ...]:
-    """The tests at these scales; noise where `longest` rows allow it."""
-    kinds = [Test(kind, w) for w in scales for kind in ("level", "change")]
+def tests_of(scales: Sequence[int], longest: int, slow: Sequence[str] = ("level", "change")) -> tuple[Test, ...]:
+    """The tests at these scales, those of means `slow`; noise where `longest` rows allow it."""
+    kinds = [Test(kind, w) for w in scales for kind in slow]
     lasting = Test("spike", 1), Test("repeats", 1), Test("missing", 1)
     return (*kinds, *(Test("noise", w) for w in NOISE if w <= longest), *lasting)
 

@@ -134,7 +134,7 @@ def verdicts_of(channels: Channels, t: Array, v: Array, found: Judged, by: Cause
     def over(*which: str) -> Array:
         return np.asarray(found.ratio[np.isin(kinds, which)].max(axis=0) > 1)
 
-    noisy = over("noise", "spike") & ~over("level", "change")
+    noisy = over("noise", "spike") & ~over("level", "change", "same")
     how = np.where(over("repeats"), FREEZE, np.where(over("missing"), DROPOUT, np.where(noisy, NOISY, 0))).astype(np.int8)
     return Verdicts(t, v, by, found.ratio.max(axis=0), sizes, how)
 

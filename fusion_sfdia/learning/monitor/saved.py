@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.learning.monitor.channels import Channels
 from fusion_sfdia.learning.monitor.held_out import Family, LearntLimits, Limits
 from fusion_sfdia.learning.monitor.residuals import Scale, Test
+from fusion_sfdia.learning.monitor.stated_physics import Stated
 from fusion_sfdia.plant.signals import Signal
 
 Arrays = dict[str, NDArray[Any]]
@@ -21,6 +22,7 @@ OF_LIMITS = ("limit", "trend", "explained", "partner", "deviation")
 def packed(channels: Channels, learnt: LearntLimits) -> tuple[Arrays, dict[str, Any]]:
     """Arrays by name, and the rest."""
     arrays: Arrays = {name: getattr(channels, name) for name in OF_CHANNELS} | {"edges": learnt.edges}
+    arrays |= {f"stated {name}": value for name, value in learnt.stated._asdict().items()}
     families = {"own": Family(learnt.model, learnt.limits)} | ({"absolute": learnt.absolute} if learnt.absolute else {})
     return arrays, {
         "sensors": [[s.name, s.unit] for s in channels.sensors],
@@ -39,7 +41,10 @@ def unpacked(arrays: Arrays, about: dict[str, Any]) -> tuple[Channels, LearntLim
     channels = Channels(sensors, inputs, used, hold, floor, mean, sd, dict(about["left_out"]), dict(about["still"]))
     families = {name: _unpacked(name, given, arrays) for name, given in about["families"].items()}
     own = families["own"]
-    return channels, LearntLimits(own.model, own.limits, arrays["edges"], families.get("absolute"), int(about["longest"]))
+    stated = Stated(*(arrays[f"stated {name}"] for name in Stated._fields))
+    return channels, LearntLimits(
+        own.model, own.limits, arrays["edges"], stated, families.get("absolute"), int(about["longest"])
+    )
 
 
 def _packed(name: str, family: Family, arrays: Arrays) -> dict[str, Any]:
