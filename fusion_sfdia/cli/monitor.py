@@ -48,7 +48,9 @@ def add_monitor(commands: Any) -> None:
     )
     add_absent_sensors(one)
     one.add_argument("--map", type=Path, metavar="MAP.toml", help="how the logs are written, and which columns are used")
-    one.add_argument("--false-alarm", metavar="RATE", help="rows in alarm: 1/day, 2/hour or a share (default: 0.01)")
+    one.add_argument(
+        "--false-alarm", metavar="RATE", help="alarms in a time, 1/day, 2/week, or the share of rows in alarm (default: 0.01)"
+    )
     one.add_argument(
         "--units",
         metavar="LOGS",

@@ -132,8 +132,8 @@ def _unit(task: Mapping[str, Any]) -> dict[str, Any]:
     from fusion_sfdia.diagnosis.events import EVEN
     from fusion_sfdia.learning.monitor.channels import pieces_of
     from fusion_sfdia.learning.monitor.compared_units import means_of
+    from fusion_sfdia.learning.monitor.held_out import JOINED
     from fusion_sfdia.learning.monitor.monitor import Monitor
-    from fusion_sfdia.learning.monitor.row_verdicts import JOINED
     from fusion_sfdia.learning.monitor.unmodelled_logs import load, signals_of
     from fusion_sfdia.logs.loaded_log import counted
     from fusion_sfdia.logs.log_map import PLAIN_MAP, load_map

@@ -5,11 +5,15 @@ other blocks: of those on its longer side without the neighbour where most of th
 of all but it and its neighbours; of logs from a model of all others. A limit is an upper tolerance limit over blocks of their
 quantiles, log-normal (Hahn and Meeker 1991, Statistical intervals, sec. 4.6); with limits from the other blocks, each block
 then gives the factor of each sensor, and all sensors together one more.
+
+Where k alarms are asked for in all healthy rows, this one is the k-th largest peak of the held-out ratios, of which those less
+than `JOINED` rows apart are one: of as many rows to come k peaks are expected above it.
 """
 
 from __future__ import annotations
 
 import warnings
+from bisect import bisect, insort
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -19,6 +23,7 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from fusion_sfdia.common.steps import Each, in_silence
+from fusion_sfdia.diagnosis.events import spans
 from fusion_sfdia.learning.monitor.residuals import (
     NOISE,
     SCALES,
@@ -59,7 +64,22 @@ WITNESSED = (16, 64)  # rows: windows over which it is judged whether others exp
 WITNESS = 0.5  # least share of its slow motion that they explain then
 MOSTLY_NOISE = 0.8  # share of the variance of a window's mean beyond which noise is not taken off
 STEADY, MOVES = 1.2, 0.75  # ratio of steps to variance of the blocks' means, and their size over the deviation within: a trend
+JOINED = 16  # rows: alarms that are fewer apart are one
 WILD = 3.0  # times the median over blocks: a block that widens a limit is reported
+
+
+class Asked(NamedTuple):
+    """What is asked: the share of rows in false alarm, and, where a count in a time is stated, the alarms in all healthy rows.
+
+    An alarm is a run of rows in alarm, less than `JOINED` rows apart.
+    """
+
+    rows: float
+    alarms: float | None = None
+
+    def of(self, part: float) -> Asked:
+        """Of a part of the rows."""
+        return self if self.alarms is None else self._replace(alarms=self.alarms * part)
 
 
 class UnlikeBlock(NamedTuple):
@@ -73,6 +93,7 @@ class UnlikeBlock(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Limits:
     """tests (T,); limit (T, N) of each test and sensor, factors included. rate: share of held-out rows in alarm, its interval.
+    alarms: how many begin in a held-out row, runs of rows in alarm, as an interval.
 
     wild: blocks that widen limits, unlike: blocks that differ. trend (N,): sensors that drifted while they were learnt.
     explained (N,): share of a sensor's slow variance that others explain, partner (N,): the one other sensor that does so
@@ -82,6 +103,7 @@ class Limits:
     tests: tuple[Test, ...]
     limit: Array
     rate: tuple[float, float, float]
+    alarms: tuple[float, float, float]
     wild: tuple[UnlikeBlock, ...]
     unlike: tuple[UnlikeBlock, ...]
     trend: Array
@@ -156,11 +178,11 @@ class _View(NamedTuple):
 
 
 def learn(
-    pieces: Sequence[ScaledRows], stated: Stated, rate: float, logs: Sequence[int] = (), each: Each = in_silence
+    pieces: Sequence[ScaledRows], stated: Stated, rate: Asked, logs: Sequence[int] = (), each: Each = in_silence
 ) -> LearntLimits:
     """Learn from pieces of healthy rows.
 
-    stated: physics, of all sensors. rate: share of rows in alarm. logs: of which log each piece is; with at least `RUNS` logs,
+    stated: physics, of all sensors. rate: of alarms. logs: of which log each piece is; with at least `RUNS` logs,
     none longer than half of all rows, the blocks are logs: each is a run of its own. each: wraps the blocks, to show progress.
     """
     lengths, count = [len(p.z) for p in pieces], stated.group.size
@@ -179,7 +201,8 @@ def learn(
         return LearntLimits(*_family(rows, absolute, tests_of(tested, total // TESTED, slow), rate, each), edges, stated)
     shortest = float(np.median(np.diff(edges)))
     relative = [w for w in tested if w <= LONGEST_RELATIVE and settled(w)[1] <= max(shortest / 2, settled(1)[1])]
-    of_all = _family(rows, absolute, tuple(t for t in tests_of(tested, 0) if t.kind in ("level", "change")), rate, each)
+    unlike = tuple(t for t in tests_of(tested, 0) if t.kind in ("level", "change"))
+    of_all = _family(rows, absolute, unlike, rate._replace(alarms=None), each)
     own = _family(rows, _view(rows, relative, relative=True), tests_of(relative, total // TESTED, slow), rate, each)
     explained = np.fmax(own.limits.explained, of_all.limits.explained)
     limits = replace(own.limits, explained=explained, trend=np.zeros(count, bool))
@@ -246,7 +269,7 @@ def _ridge(rows: _Rows, x: Array, at: Array, centred: bool) -> tuple[float, list
     return RIDGES[int(np.argmin(worth))], moments
 
 
-def _family(rows: _Rows, view: _View, tests: tuple[Test, ...], rate: float, each: Each) -> Family:
+def _family(rows: _Rows, view: _View, tests: tuple[Test, ...], rate: Asked, each: Each) -> Family:
     """The model of all blocks, and limits by models that have not seen a block."""
     stats, used, levels = [], [], []
     for b in each(range(rows.blocks), "learning"):
@@ -382,8 +405,8 @@ def tolerance(values: Array, p: Array | float, pooled: bool) -> Array:
     return np.where(count > 1, found, np.inf)
 
 
-def _limits(tests: tuple[Test, ...], stats: list[Array], used: list[Array], a: float, length: float) -> Limits:
-    blocks = len(stats)
+def _limits(tests: tuple[Test, ...], stats: list[Array], used: list[Array], rate: Asked, length: float) -> Limits:
+    blocks, a = len(stats), rate.rows
     with np.errstate(invalid="ignore"):
         q = np.stack([_quantile(s, u, 1 - OF_TESTS * a) for s, u in zip(stats, used, strict=True)])  # (B, T, N)
         longest = np.stack([np.nan_to_num(_of_known(np.nanmax, s, axis=1)) for s in stats])
@@ -405,14 +428,12 @@ def _limits(tests: tuple[Test, ...], stats: list[Array], used: list[Array], a: f
     of_sensor = np.stack([_quantile(r[None], u, 1 - OF_SENSORS * a)[0] for r, u in zip(ratios, used, strict=True)])
     factor = np.maximum(LEAST_FACTOR, np.nan_to_num(tolerance(of_sensor, SURE, pooled=True), posinf=1.0))
     top = [np.max(np.nan_to_num(r) / factor, axis=1) for r in ratios]
-    of_all = np.array([np.quantile(r[u], 1 - a) for r, u in zip(top, used, strict=True)])
-    common = float(tolerance(of_all[:, None], SURE_OF_ALL, pooled=False)[0])
-    share = np.array([
-        np.mean((r > float(tolerance(of_all[o][:, None], SURE_OF_ALL, pooled=False)[0]))[u] | stop[u])
-        for r, u, o, stop in zip(top, used, others, stops, strict=True)
-    ])  # fmt: skip
-    half = student.ppf(0.9, blocks - 1) * np.std(share, ddof=1) * np.sqrt(1 + 1 / blocks)
-    rate = (float(np.mean(share)), max(float(np.mean(share) - half), 0.0), max(float(np.mean(share) + half), a))
+    common = _common([r[u] for r, u in zip(top, used, strict=True)], rate)
+    share, begun = np.zeros(blocks), np.zeros(blocks)
+    for b, (r, u, stop) in enumerate(zip(top, used, stops, strict=True)):
+        of_rest = _common([top[c][used[c]] for c in range(blocks) if c != b], rate.of(1 - 1 / blocks))
+        alarm = ((r > of_rest) | stop) & u
+        share[b], begun[b] = np.sum(alarm) / max(np.sum(u), 1), len(spans(alarm, JOINED)) / max(np.sum(u), 1)
     unlike = tuple(UnlikeBlock(b, i, float(of_sensor[b, i])) for b, i in np.argwhere(of_sensor > UNLIKE).tolist())
     middle = _median(q, 0)
     wild = []
@@ -423,7 +444,36 @@ def _limits(tests: tuple[Test, ...], stats: list[Array], used: list[Array], a: f
     full = limits(np.ones(blocks, bool))
     unknown = np.zeros(n, bool), np.ones(n), np.full(n, -1), np.full((len(tests), n), np.nan)
     full[~rows] *= factor * common  # of repeats and gaps twice the longest is wide already
-    return Limits(tests, full, rate, tuple(wild), unlike, *unknown)
+    asked = 0.0 if rate.alarms is None else rate.alarms / (length * blocks)
+    return Limits(tests, full, _interval(share, a), _interval(begun, asked), tuple(wild), unlike, *unknown)
+
+
+def _interval(of_blocks: Array, least: float) -> tuple[float, float, float]:
+    """The mean over blocks (B,), and an interval for one to come, whose upper end is not below the least."""
+    mean = float(np.mean(of_blocks))
+    half = student.ppf(0.9, of_blocks.size - 1) * float(np.std(of_blocks, ddof=1)) * np.sqrt(1 + 1 / of_blocks.size)
+    return mean, max(mean - half, 0.0), max(mean + half, least)
+
+
+def _common(ratios: Sequence[Array], rate: Asked) -> float:
+    """The factor of all sensors together, by the largest held-out ratios of rows (K,) of each block."""
+    if rate.alarms is None or rate.alarms < 1:
+        of_blocks = np.array([np.quantile(r, 1 - rate.rows) for r in ratios])[:, None]
+        found = float(tolerance(of_blocks, SURE_OF_ALL, pooled=False)[0])
+        return found if rate.alarms is None else max(found, max(float(np.max(r)) for r in ratios))
+    top = np.concatenate(ratios)
+    place = np.concatenate([np.arange(r.size) + k * JOINED for k, r in enumerate(ratios)])
+    place = place + np.repeat(np.cumsum([0, *(r.size for r in ratios[:-1])]), [r.size for r in ratios])
+    above: list[int] = []
+    peaks = 0
+    for row in np.argsort(-top, kind="stable").tolist():
+        at = bisect(above, place[row])
+        near = (at > 0 and place[row] - above[at - 1] <= JOINED) + (at < len(above) and above[at] - place[row] <= JOINED)
+        peaks += 1 - near
+        if peaks >= rate.alarms:
+            break
+        insort(above, int(place[row]))
+    return float(top[row])
 
 
 def _quantile(s: Array, used: Array, p: float) -> Array:

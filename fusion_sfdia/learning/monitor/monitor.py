@@ -12,17 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.clock import Clock
-from fusion_sfdia.common.rate import Rate, lasting
+from fusion_sfdia.common.rate import PERIODS, SAMPLE, Rate, lasting
 from fusion_sfdia.common.steps import Each, in_silence
 from fusion_sfdia.detectors.storage import read_arrays, write_arrays
 from fusion_sfdia.diagnosis.events import with_unit
 from fusion_sfdia.diagnosis.watch import Watch
 from fusion_sfdia.learning.monitor.causes import OK
 from fusion_sfdia.learning.monitor.channels import Channels, GridRows, learn_channels, pieces_of, usual_step
-from fusion_sfdia.learning.monitor.held_out import WITNESS, LearntLimits, learn
+from fusion_sfdia.learning.monitor.held_out import JOINED, WITNESS, Asked, LearntLimits, learn
 from fusion_sfdia.learning.monitor.live_monitor import LiveMonitor, Past, follow
 from fusion_sfdia.learning.monitor.residuals import rows_of
-from fusion_sfdia.learning.monitor.row_verdicts import JOINED, SECONDS, Verdicts, diagnosed, joined_verdicts, plant_of
+from fusion_sfdia.learning.monitor.row_verdicts import SECONDS, Verdicts, diagnosed, joined_verdicts, plant_of
 from fusion_sfdia.learning.monitor.saved import packed, unpacked
 from fusion_sfdia.learning.monitor.stated_physics import learn_stated
 from fusion_sfdia.learning.monitor.unmodelled_logs import load, signals_of
@@ -60,9 +60,9 @@ class Monitor:
     dt : float
         Step of the grid in s.
     rate : Rate
-        The stated share of rows in alarm.
+        The stated share of rows in alarm, or number of alarms in a time.
     per_row : float
-        The share of rows in alarm that the limits are for.
+        The share of rows in alarm that the limits of single tests are for.
     learnt : LearntLimits
         The limits.
     healthy : tuple of (str, int, str, str)
@@ -127,7 +127,7 @@ class Monitor:
         log_map : LogMap, str or Path, optional
             How the logs are written, or the file that states it.
         false_alarm : float, str or Rate, default 0.01
-            Share of rows in alarm, or such as "1/week".
+            Share of rows in alarm, or alarms in a time, such as "1/week": runs of rows in alarm, less than 16 rows apart.
         same : sequence of str, or of such, default ()
             Sensors that measure one quantity, up to an offset and a gain, or several groups of such, beside those of the map.
         drives : mapping of str to str or sequence of str, optional
@@ -189,7 +189,7 @@ class Monitor:
         inputs : sequence of Signal (m,), default ()
             Name and unit of each column of u.
         false_alarm : float, str or Rate, default 0.01
-            Share of rows in alarm, or such as "1/day".
+            Share of rows in alarm, or alarms in a time, such as "1/day".
         dt : float, optional
             Step of the grid in s, None for that of the logs.
         same : sequence of str, or of such, default ()
@@ -236,7 +236,8 @@ class Monitor:
         of = [k for k, log in enumerate(logs) for _ in log]
         scaled = [rows_of(channels, p.v)[0] for p in pieces]
         learnt_physics, unused = learn_stated(physics, channels, [s.z for s in scaled], [p.v for p in pieces])
-        learnt = learn(scaled, learnt_physics, max(per_row, least), of, each)
+        asked = Asked(max(per_row, least), None if stated.per == SAMPLE else per_row * rows)
+        learnt = learn(scaled, learnt_physics, asked, of, each)
         clocks = list(clocks) or [SECONDS] * len(healthy)
         named = list(names) or [f"healthy log {k}" for k in range(1, len(healthy) + 1)]
         origin = tuple(
@@ -351,7 +352,10 @@ class Monitor:
             log = self.read(log, log_map)
         verdicts = self.judge(log.log, each)
         rows = sum(len(v.t) for v in verdicts)
-        expected = f"without a fault some {self.learnt.limits.rate[0] * rows:.2g} of these {rows} rows would be in alarm"
+        limits = self.learnt.limits
+        expected = f"without a fault some {limits.rate[0] * rows:.2g} of these {rows} rows would be in alarm"
+        if self.rate.per != SAMPLE:
+            expected = f"without a fault some {limits.alarms[0] * rows:.2g} alarms would begin in these {rows} rows"
         misread = tuple(f.text for f in log.findings if f.kind == "unit suspected")
         found = diagnosed(self.channels, self.dt, verdicts, (*misread, self.promise, expected, *self.remarks), log.clock)
         known = tuple(e for e in found.events if not (e.fault == "dropout" and e.hypothesis in log.absent))
@@ -442,12 +446,19 @@ class Monitor:
 
     @property
     def promise(self) -> str:
-        """What is promised of the rate of rows in alarm, in words."""
+        """What is promised of the rows in alarm, and, where their number in a time was asked for, of alarms, in words."""
         trend = [n for n, t in zip(self.channels.names, self.learnt.limits.trend, strict=False) if t]
         if trend:
             return f"no rate of false alarms can be stated: {_and(trend)} drifted over the healthy logs; record longer ones"
-        mean, low, high = self.learnt.limits.rate
-        return f"rows in alarm without a fault: {mean:.2g} ({low:.2g} to {high:.2g}) for a log like the healthy ones"
+        limits = self.learnt.limits
+        mean, low, high = limits.rate
+        rows = f"rows in alarm without a fault: {mean:.2g} ({low:.2g} to {high:.2g}) for a log like the healthy ones"
+        if self.rate.per == SAMPLE:
+            return rows
+        mean, low, high = (count * PERIODS[self.rate.per] / self.dt for count in limits.alarms)
+        return (
+            f"alarms without a fault: {mean:.2g}/{self.rate.per} ({low:.2g} to {high:.2g}), each of one row or several; {rows}"
+        )
 
     def __str__(self) -> str:
         count = sum(rows for _, rows, _, _ in self.healthy)
@@ -574,7 +585,12 @@ def _map(given: LogMap | str | Path | None) -> LogMap:
 def _remarks(found: Monitor, rows: int, per_row: float, moments: Sequence[tuple[float, int, Clock, str]]) -> list[str]:
     """What the healthy logs cannot support."""
     lines = []
-    if per_row < found.per_row:
+    if found.rate.per != SAMPLE:
+        if per_row * rows < 1:
+            lines.append(
+                f"{lasting(rows * found.dt)} of healthy rows can promise 1 alarm in as long, not {found.rate}: record more"
+            )
+    elif per_row < found.per_row:
         lines.append(
             f"{rows} healthy rows set limits for {found.per_row:.2g} of the rows in alarm, not {per_row:.2g}: record more"
         )

@@ -28,6 +28,7 @@ from fusion_sfdia.diagnosis.events import (
 from fusion_sfdia.diagnosis.sentences import Wording
 from fusion_sfdia.learning.monitor.causes import MOVED, ONE_OF, OUTSIDE, PROCESS, RECORDER, Causes
 from fusion_sfdia.learning.monitor.channels import Channels, deviations
+from fusion_sfdia.learning.monitor.held_out import JOINED
 from fusion_sfdia.learning.monitor.judging import Judged
 from fusion_sfdia.plant.gaps import Gap
 from fusion_sfdia.plant.linear import linear_plant
@@ -39,7 +40,6 @@ Array = NDArray[Any]
 SECONDS = Clock()
 BRIEF, CLEAR = 3, 2.0  # rows of an event, and times its limit, up to which a sensor that is named may be one by chance
 PERHAPS = 0.3  # the confidence of these, our choice: below even, and not measured
-JOINED = 16  # rows: events of one verdict that are fewer apart are one
 PROCESS_NAME, TOGETHER = "the process", "readings that move together"
 TESTED = (
     ProcessHypothesis(TOGETHER, "1", "together", np.nan),

@@ -55,6 +55,7 @@ def _packed(name: str, family: Family, arrays: Arrays) -> dict[str, Any]:
         "scales": [[s.w, s.ridge, s.limit] for s in family.model],
         "tests": [[t.kind, t.scale] for t in family.limits.tests],
         "rate": family.limits.rate,
+        "alarms": family.limits.alarms,
     }
 
 
@@ -65,5 +66,6 @@ def _unpacked(name: str, given: dict[str, Any], arrays: Arrays) -> Family:
         model.append(Scale(w, ridge, centre, precision, level, lead, limit))
     tests = tuple(Test(*t) for t in given["tests"])
     limit, trend, explained, partner, deviation = (arrays[f"{name} {what}"] for what in OF_LIMITS)
-    mean, low, high = given["rate"]
-    return Family(tuple(model), Limits(tests, limit, (mean, low, high), (), (), trend, explained, partner, deviation))
+    (mean, low, high), (count, least, most) = given["rate"], given["alarms"]
+    rates = (mean, low, high), (count, least, most)
+    return Family(tuple(model), Limits(tests, limit, *rates, (), (), trend, explained, partner, deviation))

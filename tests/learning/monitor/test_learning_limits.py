@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from factor_logs import factors, log_of, runs_with_offsets, signals
 
-from fusion_sfdia.learning.monitor.held_out import tolerance
+from fusion_sfdia.diagnosis.events import spans
+from fusion_sfdia.learning.monitor.held_out import JOINED, Asked, _common, tolerance
 from fusion_sfdia.learning.monitor.monitor import Monitor
 
 STATED = 0.01
@@ -55,8 +58,34 @@ def test_a_sensor_that_drifts_while_it_is_learnt_allows_no_promise() -> None:
 
 
 def test_a_rate_that_the_rows_cannot_set_is_said() -> None:
-    monitor = Monitor.of_logs(signals(8), [log_of(factors(9))], false_alarm="1/week")
+    monitor = Monitor.of_logs(signals(8), [log_of(factors(9))], false_alarm=1e-4)
     assert any("1500 healthy rows set limits for" in line and "record more" in line for line in monitor.remarks)
+    monitor = Monitor.of_logs(signals(8), [log_of(factors(9))], false_alarm="1/week")
+    assert "25 hours of healthy rows can promise 1 alarm in as long, not 1/week: record more" in monitor.remarks
+
+
+@pytest.mark.parametrize("asked", [1, 2, 12])
+def test_of_as_many_rows_to_come_as_many_peaks_exceed_the_limit_as_are_asked_for(asked: int) -> None:
+    rng, trials = np.random.default_rng(5), 400
+    held, later = rng.standard_normal((2, trials, 1200))
+    counts = []
+    for one, other in zip(held, later, strict=True):
+        limit = _common(np.split(one, 8), Asked(0.01, asked))
+        assert (
+            len(spans(np.concatenate([np.append(part > limit, [False] * JOINED) for part in np.split(one, 8)]), JOINED)) < asked
+        )
+        counts.append(len(spans(other > limit, JOINED)))
+    assert abs(np.mean(counts) - asked) <= 3 * np.std(counts) / np.sqrt(trials) + 0.08 * asked  # two near peaks count as one
+
+
+def test_a_rate_in_a_time_is_one_of_alarms() -> None:
+    y = factors(90, 9000)
+    monitor = Monitor.of_logs(signals(8), [log_of(y[:3000])], false_alarm="4/day")
+    assert re.match(
+        r"alarms without a fault: \d[\d.]*/day \(\S+ to \d[\d.]*\), each of one row or several; rows in", monitor.promise
+    )
+    alarms = spans(monitor.judge(log_of(y[3000:]))[0].causes.alarm, JOINED)
+    assert 4 <= len(alarms) <= 34  # 17 in 4.2 days
 
 
 @pytest.mark.long

@@ -18,8 +18,8 @@ from fusion_sfdia.detectors.verdicts import Verdict
 from fusion_sfdia.diagnosis.events import events_of
 from fusion_sfdia.diagnosis.watch import Watch
 from fusion_sfdia.learning.monitor.channels import Read, read
+from fusion_sfdia.learning.monitor.held_out import JOINED
 from fusion_sfdia.learning.monitor.monitor import Monitor
-from fusion_sfdia.learning.monitor.row_verdicts import JOINED
 from fusion_sfdia.logs.csv_log import write_log
 from fusion_sfdia.plant.log import Log
 
