@@ -2,6 +2,11 @@
 
 Rows go to the nearest multiple of the median step; rows that are not there have no readings. A gap of more than 60 rows begins
 a new piece.
+
+Isolated outliers. The jump of a reading is its distance from the median of the five rows before. A channel of which a healthy
+log has a jump of more than 6 standard deviations, by the median of jumps, that no other follows or precedes within five rows,
+has outliers: when learning and when judging, the first two readings of such a jump do not count, and what follows to the same
+side does. One percent of outliers of 10 deviations else widens limits until a bias of 2 is found in a quarter of the rows.
 """
 
 from __future__ import annotations
@@ -15,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.stats import skew
 
 from fusion_sfdia.common.arguments import require_unique
+from fusion_sfdia.learning.monitor.windows import earlier
 from fusion_sfdia.plant.gaps import LONG
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.signals import Signal
@@ -26,6 +32,8 @@ FLOOR = 0.5  # of the 1 % quantile of the positive ones, below which the logarit
 SPARSE = 0.5  # share of the rows in which most columns have readings, below which each tag has times of its own
 KEPT = 0.8  # of the distances of a tag's readings, which the grid keeps then
 SELDOM = 2.0  # steps: a column whose readings are further apart is written on change, and keeps its last reading
+FAR = 6.0  # standard deviations of jumps, beyond which one is an outlier, or the begin of a step
+BEFORE, LEAST_BEFORE = 5, 3  # rows before a reading from which it jumps, and of these with readings
 MISSING = 0.3  # share of readings that a channel may lack
 PARTS = 8  # parts of the healthy rows, in at least half of which a channel must have readings, and move
 
@@ -145,7 +153,8 @@ class Channels:
     """Columns of logs, sensors first, and what is used of them.
 
     used: indices of the columns that are used, sensors first. hold (n,): rows for which a column of all keeps its last reading,
-    as one that is written on change, 0 for none. floor, mean, sd (q,) of these: z = (v - mean) / sd, where floor
+    as one that is written on change, 0 for none. far (n,): jump of a column of all whose first two readings do not count, inf
+    where there are no outliers. floor, mean, sd (q,) of these: z = (v - mean) / sd, where floor
     is a number of log(max(v, floor)). left_out: why the others are not. still: sensors that never moved, and their reading.
     """
 
@@ -153,6 +162,7 @@ class Channels:
     inputs: tuple[Signal, ...]
     used: Array
     hold: Array
+    far: Array
     floor: Array
     mean: Array
     sd: Array
@@ -181,6 +191,42 @@ class Channels:
         return float(z * self.sd[i])
 
 
+def jumps(v: Array) -> Array:
+    """The distance of each reading of v (K, n) from the median of the rows before, NaN where few of these have one."""
+    before = np.sort(np.stack([earlier(v, k, np.nan) for k in range(1, BEFORE + 1)]), axis=0)  # NaN last
+    count = np.sum(np.isfinite(before), axis=0)
+    middle = np.take_along_axis(before, np.maximum(count - 1, 0)[None] // 2, axis=0)[0]
+    return np.where(count >= LEAST_BEFORE, v - middle, np.nan)
+
+
+def _sides(jump: Array, far: Array) -> Array:
+    """To which side readings are far off (K, n), 0 for none."""
+    with np.errstate(invalid="ignore"):
+        return np.where(np.abs(jump) > far, np.sign(jump), 0.0)
+
+
+def firsts(v: Array, far: Array) -> Array:
+    """Which readings of v (K, n) are the first two of a jump by more than `far` (n,), isolated or the begin of a step."""
+    side = _sides(jumps(v), far)
+    return np.asarray((side != 0) & ((side != earlier(side, 1)) | (side != earlier(side, 2))))
+
+
+def _far(logs: Sequence[Sequence[GridRows]], columns: int) -> Array:
+    """The jump (n,) beyond which a column has isolated outliers in healthy logs, inf where it has none."""
+    found = [jumps(piece.v) for log in logs for piece in log]
+    every = np.abs(np.concatenate(found))
+    far = np.full(columns, np.inf)
+    for i in range(columns):
+        known = every[np.isfinite(every[:, i]), i]
+        scale = FAR * 1.4826 * float(np.median(known)) if known.size else 0.0
+        for jump in found if scale > 0 else ():
+            at = np.flatnonzero(np.abs(jump[:, i]) > scale)
+            apart = np.diff(at, prepend=-BEFORE - 1, append=len(jump) + BEFORE)
+            if np.any((apart[:-1] > BEFORE) & (apart[1:] > BEFORE)):
+                far[i] = scale
+    return far
+
+
 def deviations(channels: Channels) -> Array:
     """The deviation of the readings of each column (n,) when healthy, in its unit; 1 of those without one."""
     found, plain = np.ones(channels.hold.size), ~np.isfinite(channels.floor)
@@ -194,6 +240,8 @@ def learn_channels(sensors: Sequence[Signal], inputs: Sequence[Signal], logs: Se
     require_unique("signals of a log", [s.name for s in signals])
     hold = _hold(logs, len(signals))
     v = np.concatenate([read(piece.v).held(hold) for log in logs for piece in log])
+    far = _far(logs, len(signals))
+    outliers = np.concatenate([firsts(piece.v, far) for log in logs for piece in log])
     there = np.concatenate([piece.rows >= 0 for log in logs for piece in log])
     left_out: dict[str, str] = {}
     still: dict[str, float] = {}
@@ -209,6 +257,7 @@ def learn_channels(sensors: Sequence[Signal], inputs: Sequence[Signal], logs: Se
             left_out[signal.name] = why
         else:
             used.append(i)
+            v[outliers[:, i], i] = np.nan
             floors.append(_floor(v[:, i]))
     count = sum(i < len(sensors) for i in used)
     if count < 1 or len(used) < 2:
@@ -219,7 +268,7 @@ def learn_channels(sensors: Sequence[Signal], inputs: Sequence[Signal], logs: Se
     of, floor = np.array(used), np.array(floors)
     z = _in_logs(v[:, of], floor)
     mean, sd = np.nanmean(z, axis=0), np.nanstd(z, axis=0)
-    return Channels(tuple(sensors), tuple(inputs), of, hold, floor, mean, sd, left_out, still)
+    return Channels(tuple(sensors), tuple(inputs), of, hold, far, floor, mean, sd, left_out, still)
 
 
 def _hold(logs: Sequence[Sequence[GridRows]], columns: int) -> Array:

@@ -473,6 +473,12 @@ class Monitor:
         every = (*self.channels.sensors, *self.channels.inputs)
         if kept := [f"{s.name} ({lasting(h * self.dt)})" for s, h in zip(every, self.channels.hold, strict=True) if h]:
             lines.append(f"written on change, a reading counts until the next one, at most so long: {', '.join(kept)}")
+        lines += [
+            f"{s.name}: has isolated outliers when healthy; the first two readings of a jump by more than "
+            f"{with_unit(f'{far:.3g}', s.unit)} do not count"
+            for s, far in zip(every, self.channels.far, strict=True)
+            if np.isfinite(far)
+        ]
         lines += [f"left out: {name}, {why}" for name, why in self.channels.left_out.items()]
         lines += [
             f"{name}: never moved when healthy, always {value:.6g}; any other reading is reported"

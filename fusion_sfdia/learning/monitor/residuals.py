@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.learning.monitor.channels import Channels, Read, read
+from fusion_sfdia.learning.monitor.channels import BEFORE, Channels, Read, firsts, read
 from fusion_sfdia.learning.monitor.windows import (
     Errors,
     WindowSums,
@@ -107,15 +107,19 @@ class ScaledRows(NamedTuple):
 
 
 class Ahead(NamedTuple):
-    """What of the rows ahead of a piece belongs to its rows: what was read, and the last three scaled readings (3, N)."""
+    """What of the rows ahead of a piece belongs to its rows: what was read, the last three scaled readings (3, N), and the last
+    readings of all columns (`BEFORE` + 1, n).
+    """
 
     read: Read
     z: Array
+    v: Array
 
     @classmethod
     def none(cls, channels: Channels) -> Ahead:
         """At the beginning."""
-        return cls(Read.none(channels.hold.size), np.full((SPIKE, channels.count), np.nan))
+        columns = channels.hold.size
+        return cls(Read.none(columns), np.full((SPIKE, channels.count), np.nan), np.full((BEFORE + 2, columns), np.nan))
 
 
 def rows_of(channels: Channels, v: Array, ahead: Ahead | None = None) -> tuple[ScaledRows, Ahead]:
@@ -124,8 +128,11 @@ def rows_of(channels: Channels, v: Array, ahead: Ahead | None = None) -> tuple[S
     own, every = channels.used[:n], read(v, ahead.read)
     z = channels.scaled(every.held(channels.hold))
     with_last = np.concatenate([ahead.z, z[:, :n]])
+    all_v = np.concatenate([ahead.v, v])
+    if np.isfinite(channels.far).any():
+        z = np.where(firsts(all_v, channels.far)[BEFORE + 2 :, channels.used], np.nan, z)
     rows = ScaledRows(z, every.equal[:, own], every.age[:, own], spikes(with_last)[SPIKE:])
-    return rows, Ahead(Read(*(a[-1] for a in every)), with_last[-SPIKE:])
+    return rows, Ahead(Read(*(a[-1] for a in every)), with_last[-SPIKE:], all_v[-BEFORE - 2 :])
 
 
 def spikes(z: Array) -> Array:

@@ -14,7 +14,7 @@ from fusion_sfdia.plant.signals import Signal
 
 Arrays = dict[str, NDArray[Any]]
 
-OF_CHANNELS = ("used", "hold", "floor", "mean", "sd")
+OF_CHANNELS = ("used", "hold", "far", "floor", "mean", "sd")
 OF_SCALE = ("centre", "precision", "level", "lead")
 OF_LIMITS = ("limit", "trend", "explained", "partner", "deviation")
 
@@ -37,8 +37,8 @@ def packed(channels: Channels, learnt: LearntLimits) -> tuple[Arrays, dict[str, 
 def unpacked(arrays: Arrays, about: dict[str, Any]) -> tuple[Channels, LearntLimits]:
     """What `packed` was given; KeyError, TypeError or ValueError for anything else."""
     sensors, inputs = (tuple(Signal(*s) for s in about[what]) for what in ("sensors", "inputs"))
-    used, hold, floor, mean, sd = (arrays[name] for name in OF_CHANNELS)
-    channels = Channels(sensors, inputs, used, hold, floor, mean, sd, dict(about["left_out"]), dict(about["still"]))
+    used, hold, far, floor, mean, sd = (arrays[name] for name in OF_CHANNELS)
+    channels = Channels(sensors, inputs, used, hold, far, floor, mean, sd, dict(about["left_out"]), dict(about["still"]))
     families = {name: _unpacked(name, given, arrays) for name, given in about["families"].items()}
     own = families["own"]
     stated = Stated(*(arrays[f"stated {name}"] for name in Stated._fields))

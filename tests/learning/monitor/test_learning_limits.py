@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import numpy as np
 import pytest
 from factor_logs import factors, log_of, runs_with_offsets, signals
+from numpy.typing import NDArray
 
 from fusion_sfdia.diagnosis.events import spans
+from fusion_sfdia.learning.monitor.channels import firsts
 from fusion_sfdia.learning.monitor.held_out import JOINED, Asked, _common, tolerance
 from fusion_sfdia.learning.monitor.monitor import Monitor
+
+Array = NDArray[Any]
 
 STATED = 0.01
 
@@ -109,3 +114,34 @@ def test_runs_with_offsets_of_their_own_raise_no_alarm_and_steps_in_them_are_nam
         wrong.append(named[:, np.arange(10) != k].any(axis=1).mean())
     assert np.sum(np.array(rates) > 2 * STATED) <= 1 and max(rates) < 0.1
     assert np.mean(right) > 0.5 and np.mean(wrong) < 0.1
+
+
+def spiky(seed: int, share: float = 0.01) -> Array:
+    """Factors, and outliers of 20 standard deviations, each in one reading."""
+    y, rng = factors(seed), np.random.default_rng([seed, 4])
+    return np.asarray(y + 20 * y.std(axis=0) * rng.choice([-1, 0, 1], y.shape, p=[share / 2, 1 - share, share / 2]))
+
+
+def test_outliers_in_one_reading_of_a_hundred_neither_widen_limits_nor_raise_alarms_later() -> None:
+    monitor, clean = (Monitor.of_logs(signals(8), [log_of(of(9110))], false_alarm=STATED) for of in (spiky, factors))
+    tests = clean.learnt.limits.tests
+    for kind in ("level", "change", "noise"):
+        which = [k for k, t in enumerate(tests) if t.kind == kind]
+        assert np.median(monitor.learnt.limits.limit[which] / clean.learnt.limits.limit[which]) < 1.3
+    assert "s0: has isolated outliers when healthy; the first two readings of a jump by more than" in str(monitor)
+    assert "outliers" not in str(clean)
+    y = spiky(9111)
+    y[700:900, 3] += 4 * factors(9111)[:, 3].std()
+    found = monitor.judge(log_of(y))[0].causes
+    assert found.named[700:900, 3].mean() > 0.8 and found.alarm[:700].mean() <= 0.02
+    stream = monitor.stream()
+    rows = [s.decision for row in zip(*log_of(y[690:720]), strict=True) for s in stream.update(*row)]
+    assert (np.array([d.isolated for d in rows]) == monitor.diagnose(log_of(y[690:720])).decisions.isolated).all()
+
+
+def test_of_a_jump_the_first_two_readings_do_not_count_and_of_an_outlier_the_one() -> None:
+    v = np.tile(np.sin(np.arange(60.0) / 9)[:, None], (1, 2))
+    v[20, 0] += 9.0
+    v[40:, 0] -= 9.0
+    assert np.flatnonzero(firsts(v, np.array([3.0, 3.0]))[:, 0]).tolist() == [20, 40, 41]
+    assert not firsts(v, np.array([np.inf, 3.0])).any()
