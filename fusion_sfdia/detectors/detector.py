@@ -20,6 +20,9 @@ from fusion_sfdia.plant.plant import Plant
 Array = NDArray[Any]
 
 
+SHOWN_BY = ("", "freeze", "dropout", "noise")  # what shows a sensor, where it is not its level
+
+
 class ProcessHypothesis(NamedTuple):
     """Something of the plant that may differ from the model.
 
@@ -31,8 +34,9 @@ class ProcessHypothesis(NamedTuple):
         Of its size.
     kind : str
         "parameter", "input" (a constant error of it), "state" (its equation errs), "disturbance", "unnamed" (something else of
-        the process, or several causes), "together" (readings that move as in no healthy log), "outside" (operation as in none)
-        or "since start" (the model has been wrong since the first sample).
+        the process, or several causes), "together" (readings that move as in no healthy log), "outside" (operation as in
+        none), "since start" (the model has been wrong since the first sample), "recorder" (several sensors stopped at once) or
+        "still" (a reading that never moved in a healthy log does).
     nominal : float
         The value of the model, in the unit; NaN where there is none.
 
@@ -52,7 +56,12 @@ class ProcessHypothesis(NamedTuple):
     @property
     def has_size(self) -> bool:
         """Whether an accepted one has a size, a difference from the model in its unit."""
-        return self.kind not in ("unnamed", "together", "outside", "since start")
+        return self.kind not in ("unnamed", "together", "outside", "since start", "recorder")
+
+    @property
+    def of_operation(self) -> bool:
+        """Whether it is no fault of the process, but an operation or a recording that no healthy log has."""
+        return self.kind in ("outside", "recorder", "still")
 
 
 def require_no_cycles(plant: Plant, what: str) -> None:
@@ -110,6 +119,8 @@ class Decision:
         The hypotheses that explain an alarm without a decision between them.
     probability : array (..., hypotheses + P) or None
         Of each hypothesis at present, what is missing to 1 is that of none; NaN where the method states none.
+    shown_by : array (..., N) of int or None
+        Of a detector that knows it at each row: the place in ("", "freeze", "dropout", "noise") of what shows a sensor.
 
     Examples
     --------
@@ -141,6 +152,7 @@ class Decision:
     process_sd: Array | None = None
     suspect: Array | None = None
     probability: Array | None = None
+    shown_by: Array | None = None
 
     @property
     def scores(self) -> Array:

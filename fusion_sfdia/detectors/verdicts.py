@@ -100,7 +100,7 @@ def conclusion_of(decision: Decision, y: Array, tested: Sequence[ProcessHypothes
         return Conclusion(Verdict.SENSOR)
     if decision.process is not None and decision.process.any():
         accepted = [h for h, holds in zip(tested, decision.process, strict=True) if holds] if tested else []
-        if not accepted or any(h.kind != "outside" for h in accepted):
+        if not accepted or not all(h.of_operation for h in accepted):
             return Conclusion(Verdict.PROCESS)
         if not decision.isolated[y.size :].any():
             return Conclusion(Verdict.OUTSIDE, ", ".join(h.name for h in accepted))

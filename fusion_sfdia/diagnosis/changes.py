@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
@@ -58,7 +59,8 @@ class Change(NamedTuple):
     what : str
         "opened", where a hypothesis is isolated, accepted or suspected; "closed", where it is no longer, with the id of the
         opening; "named", where a second look at the last samples states the kind of fault and its size with an interval, or
-        states them anew, with the id of the opening or, of a sensor that is silent or frozen and not isolated, a new one;
+        states them anew, or, of a detector that learnt without a model, where the event has stood for `gap` samples,
+        its size over these; with the id of the opening or, of a sensor that is silent or frozen and not isolated, a new one;
         "health", where the verdict on the model has changed, with the line of `diagnose` as reason; "reset", where the detector
         has started anew, for the stated reason; "blind", where nothing can be judged, for the stated reason, and "sees again",
         where that is over, with the id of "blind".
@@ -187,6 +189,12 @@ class Changes:
             self.count += 1
             self.standing[i] = OpenEvent(self.count, t, t, 0)
             found.append(Change(self.count, "opened", t, self._with_rivals(self._event(i), i)))
+        if decision.shown_by is not None:
+            at = [t for t, _ in self.recent]
+            for i, event in self.standing.items():
+                sized = i < decision.fault_size.size and np.isfinite(decision.fault_size[i]) and not event.missed
+                if sized and len(at) - bisect_left(at, event.start) == self.gap:
+                    found.append(Change(event.id, "named", t, self._event(i)))
         return found
 
     def followed(self, found: list[Change]) -> list[Change]:
@@ -261,7 +269,9 @@ class Changes:
         if "recent" in saved.arrays:
             times = saved.take("recent", "f", None)
             tested = any(f"recent.{name}" in saved.arrays for name in OF_PROCESS)
-            names = [name for name in OF_DECISION if tested or name not in OF_PROCESS]
+            absent = () if tested else OF_PROCESS
+            absent = absent if "recent.shown_by" in saved.arrays else (*absent, "shown_by")
+            names = [name for name in OF_DECISION if name not in absent]
             named = {name: _saved(saved, detector, name, times.size) for name in names}
             for k, t in enumerate(times.tolist()):
                 found.recent.append((t, Decision(**{name: values[k] for name, values in named.items()})))
@@ -279,7 +289,7 @@ OF_DECISION = {  # kind and axes of what a Decision has: N sensors, H hypotheses
     "estimate": ("f", "n"), "reconstruction": ("f", "N"), "residual": ("f", "N"), "threshold": ("f", "N"),
     "isolated": ("b", "H"), "fault_size": ("f", "H"), "diverged": ("b", ""), "guarded": ("b", ""), "nis": ("f", ""),
     "capped": ("b", ""), "absurd": ("b", "N"), "absurd_input": ("b", "m"), "process": ("b", "P"), "process_size": ("f", "P"),
-    "process_sd": ("f", "P"), "suspect": ("b", "S"), "probability": ("f", "S"),
+    "process_sd": ("f", "P"), "suspect": ("b", "S"), "probability": ("f", "S"), "shown_by": ("i", "N"),
 }  # fmt: skip
 OF_PROCESS = ("process", "process_size", "process_sd", "suspect", "probability")  # last in a Decision, all or none
 

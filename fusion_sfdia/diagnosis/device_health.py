@@ -111,7 +111,7 @@ def sensor_health(
 def _is_outside(decision: Decision, verdict: Verdict, tested: Sequence[ProcessHypothesis]) -> bool:
     """Whether operation is as in no healthy log, or an input beyond its limits, which a verdict on a sensor does not say."""
     accepted = () if decision.process is None else zip(tested, decision.process, strict=True)
-    named = any(holds and h.kind == "outside" for h, holds in accepted)
+    named = any(holds and h.of_operation for h, holds in accepted)
     return verdict is Verdict.OUTSIDE or named or bool(np.any(decision.absurd_input))
 
 

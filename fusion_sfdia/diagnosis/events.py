@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.common.errors import warn_renamed
-from fusion_sfdia.detectors.detector import Decision, Detector, ProcessHypothesis
+from fusion_sfdia.detectors.detector import SHOWN_BY, Decision, Detector, ProcessHypothesis
 
 Array = NDArray[Any]
 
@@ -25,6 +25,7 @@ STAYS = 0.5  # of a size: a sensor that is named again with less has another fau
 CERTAIN = 0.95  # a confidence below is stated
 NO_FAULT = "no fault"
 EVEN = 0.5  # a confidence below which it is rather something else
+NEVER_MOVED = " (never moved when healthy)"  # ends the name of a sensor in that of the hypothesis
 
 
 @dataclass(frozen=True)
@@ -309,6 +310,42 @@ class OperationEvent(Event):
 
 
 @dataclass(frozen=True)
+class RecorderEvent(Event):
+    """From start to end (s) several sensors stopped in the same row: the recorder, or its link."""
+
+    kind: ClassVar[str] = "outside"
+
+    def summary(self, clock: Clock) -> str:
+        """The event in words, with the times of a clock."""
+        return f"recorder stopped {self.when(clock)}: several sensors repeat or miss their readings since the same row"
+
+    def statement(self, when: str, words: Mapping[str, object]) -> str:
+        """What a technician is told."""
+        did = "have repeated or missed" if self.open else "repeated or missed"
+        return f"Several sensors {did} their readings {when}, all from the same row on. Check the recorder and its link."
+
+
+@dataclass(frozen=True)
+class StillEvent(Event):
+    """A sensor that never moved in the healthy logs moved from start to end (s), by size."""
+
+    kind: ClassVar[str] = "outside"
+
+    def summary(self, clock: Clock) -> str:
+        """The event in words, with the times of a clock."""
+        return f"{self.hypothesis} moved {self.when(clock)}, by {with_unit(f'{self.size:.4g}', self.unit)}; never when healthy"
+
+    def statement(self, when: str, words: Mapping[str, object]) -> str:
+        """What a technician is told."""
+        sensor, size = self.hypothesis.removesuffix(NEVER_MOVED), with_unit(f"{abs(self.size):.3g}", self.unit)
+        name = str(words.get(sensor) or sensor)
+        moved = "has moved" if self.open else "moved"
+        return (
+            f"{name[:1].upper()}{name[1:]} {moved} by {size} {when}, which it never did in the healthy logs. Check it on site."
+        )
+
+
+@dataclass(frozen=True)
 class UndecidedEvent(Event):
     """An alarm from start to end (s) that no hypothesis explains clearly better than others; it has no size.
 
@@ -360,7 +397,11 @@ def events_of(detector: Detector, t: Array, decisions: Decision, gap: int) -> tu
     for i, name in enumerate(detector.hypotheses):
         kind, unit = (Event, sensors[i].unit) if i < len(sensors) else (OtherEvent, "")
         for a, b in spans(decisions.isolated[:, i], gap):
-            found.append(kind(name, *_when(t, a, b), median(decisions.fault_size[a : b + 1, i]), unit, b == len(t) - 1))
+            size, fault = median(decisions.fault_size[a : b + 1, i]), ""
+            if decisions.shown_by is not None:
+                held = decisions.shown_by[a : b + 1, i][decisions.isolated[a : b + 1, i]]
+                fault = SHOWN_BY[Counter(held.tolist()).most_common(1)[0][0]]
+            found.append(kind(name, *_when(t, a, b), size if not fault else np.nan, unit, b == len(t) - 1, fault=fault))
     found.sort(key=lambda e: (e.start, e.hypothesis))
     tested = detector.process_hypotheses
     names = (*detector.hypotheses, *(h.name for h in tested))
@@ -374,8 +415,13 @@ def _process(tested: Sequence[ProcessHypothesis], t: Array, decisions: Decision,
     for j, h in enumerate(tested):
         for a, b in spans(decisions.process[:, j], gap):
             if not h.has_size:
-                kind = {"outside": OperationEvent, "together": GroupEvent}.get(h.kind, UnnamedEvent)
+                known = {"outside": OperationEvent, "recorder": RecorderEvent, "together": GroupEvent}
+                kind = known.get(h.kind, UnnamedEvent)
                 found.append(kind(h.name, *_when(t, a, b), float("nan"), "", b == len(t) - 1))
+                continue
+            if h.kind == "still":
+                size = median(decisions.process_size[a : b + 1, j])
+                found.append(StillEvent(h.name, *_when(t, a, b), size, h.unit, b == len(t) - 1))
                 continue
             size, sd = (median(values[a : b + 1, j]) for values in (decisions.process_size, decisions.process_sd))
             found.append(ProcessEvent(h.name, *_when(t, a, b), size, h.unit, b == len(t) - 1, sd, h.nominal))

@@ -45,7 +45,7 @@ from fusion_sfdia.plant.plant import Plant
 Array = NDArray[Any]
 
 FLAGS = {"isolated", "diverged", "guarded", "capped", "absurd", "absurd_input", "process", "suspect"}
-KINDS = ("parameter", "input", "state", "disturbance", "unnamed", "together", "outside", "since start")
+KINDS = ("parameter", "input", "state", "disturbance", "unnamed", "together", "outside", "since start", "recorder", "still")
 
 
 def check_detector(detector: Any, plant: Any = "two-tanks") -> None:

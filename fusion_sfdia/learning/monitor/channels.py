@@ -3,10 +3,11 @@
 Rows go to the nearest multiple of the median step; rows that are not there have no readings. A gap of more than 60 rows begins
 a new piece.
 
-Isolated outliers. The jump of a reading is its distance from the median of the five rows before. A channel of which a healthy
-log has a jump of more than 6 standard deviations, by the median of jumps, that no other follows or precedes within five rows,
-has outliers: when learning and when judging, the first two readings of such a jump do not count, and what follows to the same
-side does. One percent of outliers of 10 deviations else widens limits until a bias of 2 is found in a quarter of the rows.
+Isolated outliers. The jump of a reading is its distance from the median of the five rows before. A channel has outliers if
+two healthy readings of a thousand, or more, jump by more than 6 standard deviations (by the median of jumps) and no other
+does so within five rows. When learning and when judging the first two readings of such a jump do not count, and what follows
+to the same side does. One percent of outliers of 10 deviations else widens limits until a bias of 2 is found in a quarter of
+the rows.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ SPARSE = 0.5  # share of the rows in which most columns have readings, below whi
 KEPT = 0.8  # of the distances of a tag's readings, which the grid keeps then
 SELDOM = 2.0  # steps: a column whose readings are further apart is written on change, and keeps its last reading
 FAR = 6.0  # standard deviations of jumps, beyond which one is an outlier, or the begin of a step
+OUTLIERS = 0.002  # least share of the healthy readings
 BEFORE, LEAST_BEFORE = 5, 3  # rows before a reading from which it jumps, and of these with readings
 MISSING = 0.3  # share of readings that a channel may lack
 PARTS = 8  # parts of the healthy rows, in at least half of which a channel must have readings, and move
@@ -219,11 +221,13 @@ def _far(logs: Sequence[Sequence[GridRows]], columns: int) -> Array:
     for i in range(columns):
         known = every[np.isfinite(every[:, i]), i]
         scale = FAR * 1.4826 * float(np.median(known)) if known.size else 0.0
+        count = 0
         for jump in found if scale > 0 else ():
             at = np.flatnonzero(np.abs(jump[:, i]) > scale)
             apart = np.diff(at, prepend=-BEFORE - 1, append=len(jump) + BEFORE)
-            if np.any((apart[:-1] > BEFORE) & (apart[1:] > BEFORE)):
-                far[i] = scale
+            count += int(np.sum((apart[:-1] > BEFORE) & (apart[1:] > BEFORE)))
+        if count and count >= OUTLIERS * known.size:
+            far[i] = scale
     return far
 
 

@@ -3,27 +3,29 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.clock import Clock
-from fusion_sfdia.detectors.detector import Decision, ProcessHypothesis, joined
+from fusion_sfdia.detectors.detector import SHOWN_BY, Decision, ProcessHypothesis, joined
 from fusion_sfdia.diagnosis.diagnose import Diagnosis
 from fusion_sfdia.diagnosis.events import (
+    NEVER_MOVED,
     Event,
     GroupEvent,
     OperationEvent,
+    RecorderEvent,
+    StillEvent,
     UndecidedEvent,
     continued,
     listed,
     median,
     spans,
-    with_unit,
 )
 from fusion_sfdia.diagnosis.sentences import Wording
 from fusion_sfdia.learning.monitor.causes import MOVED, ONE_OF, OUTSIDE, PROCESS, RECORDER, Causes
@@ -33,7 +35,7 @@ from fusion_sfdia.learning.monitor.judging import Judged
 from fusion_sfdia.plant.gaps import Gap
 from fusion_sfdia.plant.linear import linear_plant
 from fusion_sfdia.plant.plant import Plant
-from fusion_sfdia.plant.signals import Sensor
+from fusion_sfdia.plant.signals import Sensor, Signal
 
 Array = NDArray[Any]
 
@@ -44,8 +46,7 @@ PROCESS_NAME, TOGETHER = "the process", "readings that move together"
 TESTED = (
     ProcessHypothesis(TOGETHER, "1", "together", np.nan),
     ProcessHypothesis("operation outside the healthy logs", "1", "outside", np.nan),
-    ProcessHypothesis("the recorder stopped", "1", "outside", np.nan),
-    ProcessHypothesis("a reading that never moved when healthy", "1", "outside", np.nan),
+    ProcessHypothesis("the recorder stopped", "1", "recorder", np.nan),
 )
 
 
@@ -64,42 +65,6 @@ class OutsideEvent(OperationEvent):
         return f"outside what was learnt {self.when(clock)}{by}: an operation that no healthy log has, or a process fault"
 
 
-@dataclass(frozen=True)
-class RecorderEvent(Event):
-    """From start to end (s) several sensors stopped in the same row: the recorder, or its link."""
-
-    kind: ClassVar[str] = "outside"
-
-    def summary(self, clock: Clock) -> str:
-        """The event in words, with the times of a clock."""
-        return f"recorder stopped {self.when(clock)}: several sensors repeat or miss their readings since the same row"
-
-    def statement(self, when: str, words: Mapping[str, object]) -> str:
-        """What a technician is told."""
-        did = "have repeated or missed" if self.open else "repeated or missed"
-        return f"Several sensors {did} their readings {when}, all from the same row on. Check the recorder and its link."
-
-
-@dataclass(frozen=True)
-class StillEvent(Event):
-    """A sensor that never moved in the healthy logs moved from start to end (s), by size."""
-
-    kind: ClassVar[str] = "outside"
-
-    def summary(self, clock: Clock) -> str:
-        """The event in words, with the times of a clock."""
-        return f"{self.hypothesis} moved {self.when(clock)}, by {with_unit(f'{self.size:.4g}', self.unit)}; never when healthy"
-
-    def statement(self, when: str, words: Mapping[str, object]) -> str:
-        """What a technician is told."""
-        name, size = str(words.get(self.hypothesis) or self.hypothesis), with_unit(f"{abs(self.size):.3g}", self.unit)
-        moved = "has moved" if self.open else "moved"
-        return (
-            f"{name[:1].upper()}{name[1:]} {moved} by {size} {when}, which it never did in the healthy logs. Check it on site."
-        )
-
-
-HOW = ("", "freeze", "dropout", "noise")  # what shows a sensor: where it is noise, that alone
 FREEZE, DROPOUT, NOISY = 1, 2, 3
 
 
@@ -107,7 +72,7 @@ class Verdicts(NamedTuple):
     """The verdicts on a piece of a log: times t (K,), readings (K, n) of all columns on its grid, and what was found.
 
     ratio, sizes (K, N): of each sensor that is used the largest statistic over its limit, and by how much it is off in its
-    unit where it is named. how (K, N): the place in `HOW` of what shows it.
+    unit where it is named. how (K, N): the place in `SHOWN_BY` of what shows it.
     """
 
     t: Array
@@ -178,8 +143,15 @@ def plant_of(channels: Channels, dt: float) -> Plant:
 
 
 def tested(channels: Channels) -> tuple[ProcessHypothesis, ...]:
-    """What the trouble may be besides a sensor: `TESTED`, and the inputs, which are suspected and never named."""
-    return (*TESTED, *(ProcessHypothesis(s.name, s.unit, "input", np.nan) for s in channels.inputs))
+    """What the trouble may be besides a sensor: `TESTED`, each reading that never moved when healthy, and the inputs, which are
+    suspected and never named.
+    """
+    still = (ProcessHypothesis(f"{s.name}{NEVER_MOVED}", s.unit, "still", np.nan) for s in _still_sensors(channels))
+    return (*TESTED, *still, *(ProcessHypothesis(s.name, s.unit, "input", np.nan) for s in channels.inputs))
+
+
+def _still_sensors(channels: Channels) -> list[Signal]:
+    return [s for s in channels.sensors if s.name in channels.still]
 
 
 def decisions_of(channels: Channels, v: Verdicts) -> Decision:
@@ -190,19 +162,26 @@ def decisions_of(channels: Channels, v: Verdicts) -> Decision:
     isolated[:, own] = v.causes.named[:, :n]
     residual[:, own] = np.where(np.isfinite(y[:, own]) | v.causes.named[:, :n], v.ratio, np.nan)
     size[:, own] = v.sizes
-    suspect = np.zeros((rows, count + len(TESTED) + len(channels.inputs)), bool)
+    still = _still_sensors(channels)
+    others = len(TESTED) + len(still)  # than inputs
+    suspect = np.zeros((rows, count + others + len(channels.inputs)), bool)
     suspect[:, own] = v.causes.suspect[:, :n]
-    suspect[:, channels.used[n:] + len(TESTED)] = v.causes.suspect[:, n:]
+    suspect[:, channels.used[n:] + others] = v.causes.suspect[:, n:]
     suspect[kind == MOVED, count] = True
-    moved = np.any([_off(channels, y, i) for i in range(count)], axis=0)
-    process = np.zeros((rows, len(TESTED) + len(channels.inputs)), bool)
-    process[:, : len(TESTED)] = np.stack([kind == PROCESS, kind == OUTSIDE, kind == RECORDER, moved], axis=1)
-    no, none = np.zeros(rows, bool), np.full(process.shape, np.nan)
+    process = np.zeros((rows, others + len(channels.inputs)), bool)
+    process[:, : len(TESTED)] = np.stack([kind == PROCESS, kind == OUTSIDE, kind == RECORDER], axis=1)
+    no, size_of, sd = np.zeros(rows, bool), np.full(process.shape, np.nan), np.full(process.shape, np.nan)
+    for k, signal in enumerate(still, start=len(TESTED)):
+        i = channels.sensors.index(signal)
+        process[:, k] = _off(channels, y, i)
+        size_of[process[:, k], k], sd[process[:, k], k] = y[process[:, k], i] - channels.still[signal.name], 0.0
+    shown_by = np.zeros((rows, count), np.int64)
+    shown_by[:, own] = v.how
     return Decision(
         estimate=np.zeros((rows, 1)), reconstruction=np.where(isolated, y - size, y), residual=residual,
         threshold=np.ones((rows, count)), isolated=isolated, fault_size=np.where(isolated, size, np.nan), diverged=no,
-        guarded=no, nis=np.full(rows, np.nan), capped=no, process=process, process_size=none, process_sd=none, suspect=suspect,
-        probability=np.full(suspect.shape, np.nan),
+        guarded=no, nis=np.full(rows, np.nan), capped=no, process=process, process_size=size_of, process_sd=sd, suspect=suspect,
+        probability=np.full(suspect.shape, np.nan), shown_by=shown_by,
     )  # fmt: skip
 
 
@@ -224,7 +203,7 @@ def _events(channels: Channels, v: Verdicts, t_end: float) -> list[Event]:
     for i in range(n):
         for a, b in spans(v.causes.named[:, i], JOINED):
             held = v.causes.named[a : b + 1, i]
-            how = HOW[Counter(v.how[a : b + 1, i][held].tolist()).most_common(1)[0][0]]
+            how = SHOWN_BY[Counter(v.how[a : b + 1, i][held].tolist()).most_common(1)[0][0]]
             value = median(v.sizes[a : b + 1, i]) if how == "" else np.nan
             brief = np.sum(held) <= BRIEF and np.max(v.ratio[a : b + 1, i]) < CLEAR
             first = _stopped_at(v.values[:, channels.used[i]], a) if how in ("freeze", "dropout") else a

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 import fusion_sfdia as sfdia
 from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.detectors.verdicts import Verdict
-from fusion_sfdia.diagnosis.events import Event, GroupEvent
+from fusion_sfdia.diagnosis.events import Event, GroupEvent, RecorderEvent, StillEvent
 from fusion_sfdia.diagnosis.sentences import Wording, sentence
 from fusion_sfdia.learning.monitor.causes import OK, RECORDER
 from fusion_sfdia.learning.monitor.channels import pieces_of, read
 from fusion_sfdia.learning.monitor.monitor import Monitor
-from fusion_sfdia.learning.monitor.row_verdicts import OutsideEvent, RecorderEvent, StillEvent
+from fusion_sfdia.learning.monitor.row_verdicts import OutsideEvent
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.signals import Signal
 

@@ -16,6 +16,7 @@ from fusion_sfdia.cli.main import main
 from fusion_sfdia.detectors.detector import Decision, stack
 from fusion_sfdia.detectors.verdicts import Verdict
 from fusion_sfdia.diagnosis.events import events_of
+from fusion_sfdia.diagnosis.sentences import Wording
 from fusion_sfdia.diagnosis.watch import Watch
 from fusion_sfdia.learning.monitor.channels import Read, read
 from fusion_sfdia.learning.monitor.held_out import JOINED
@@ -99,8 +100,13 @@ def test_a_stream_that_goes_on_from_its_state_writes_what_one_without_a_stop_wri
     assert isinstance(again, Watch) and again.t == rows[129][0]
     found += [c for row in rows[130:] for s in again.update(*row) for c in s.changes]
     assert repr(found) == repr(expected)
-    opened = {c.event.hypothesis for c in found if c.what == "opened" and c.event}
-    assert {"s2", "s0", "a reading that never moved when healthy"} <= opened
+    opened = {c.event.hypothesis: c for c in found if c.what == "opened" and c.event}
+    assert "Sensor s0 has been stuck at one value since" in opened["s0"].sentence({}, whole.clock)
+    moved = opened["still (never moved when healthy)"].sentence({"still": Wording("sensor", "still")}, whole.clock)
+    assert "Sensor still has moved by 0.5 K since 2500 s, which it never did in the healthy logs" in moved
+    (named,) = [c for c in found if c.what == "named" and c.event and c.event.hypothesis == "s2"]
+    assert named.id == opened["s2"].id and named.t - opened["s2"].t == (JOINED - 1) * DT and named.event is not None
+    assert named.event.size == pytest.approx(STEP, abs=1.0)
     other = Monitor.of_logs(SENSORS, [made(1), made(3)], inputs=[LOAD])
     with pytest.raises(ValueError, match="saved by another detector"):
         other.stream(tmp_path / "state")
@@ -111,9 +117,10 @@ def test_a_fault_of_the_process_is_live_what_it_is_in_a_log(monitor: Monitor) ->
     log = made(22, 40)
     d = monitor.diagnose(log).decisions
     assert d.process is not None
-    d.process[10:30, 0] = True
-    (event,) = [e for e in events_of(monitor.stream().detector, log.t, d, JOINED) if e.kind == "process"]
-    assert event.statement("now", {}).startswith("Readings moved together now as never in the healthy logs; no sensor alone")
+    d.process[10:30, 0] = d.process[10:30, 2] = True
+    process, recorder = [e for e in events_of(monitor.stream().detector, log.t, d, JOINED) if e.kind in ("process", "outside")]
+    assert process.statement("now", {}).startswith("Readings moved together now as never in the healthy logs; no sensor alone")
+    assert recorder.statement("now", {}).startswith("Several sensors repeated or missed their readings now")
 
 
 def test_missing_readings_and_inputs_and_repeats_are_judged_as_they_are(monitor: Monitor) -> None:
