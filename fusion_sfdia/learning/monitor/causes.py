@@ -6,6 +6,7 @@ learnt. Other channels of which that holds as well are rivals, and the verdict i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -166,11 +167,11 @@ def _explain(
             kind[row] = OUTSIDE  # where noise is another one, too
             continue
         if only_fast[r]:
-            above = np.flatnonzero(by_sensor[r] > 1)
+            above = np.flatnonzero(_as_noisy(tests, ratio[:, r]) | (by_sensor[r] > 1))
             if above.size == 1:
                 kind[row], named[row, above] = SENSOR, True
                 continue
-            if above.size == 2:
+            if above.size == 2 or np.sum(by_sensor[r] > 1) <= 2:
                 kind[row], suspect[row, above] = ONE_OF, True
                 continue
         if some[r]:
@@ -241,6 +242,19 @@ def _agreeing(
             suspect[row, :n] &= ~agrees[r]
             if not (named | suspect)[row].any():
                 kind[row] = OUTSIDE if found.outside[row] else PROCESS
+
+
+def _as_noisy(tests: Sequence[Test], ratio: Array) -> Array:
+    """Sensors (N,) about as near the limit of their noise as the nearest, beyond it, ratio (T, N).
+
+    The logarithm of a root mean square over w rows has a standard deviation of 1 / sqrt(2 w), and the difference of two one of
+    1 / sqrt(w): less than two of these apart, neither stands out.
+    """
+    found = np.zeros(ratio.shape[1], bool)
+    for k, test in enumerate(tests):
+        if test.kind == "noise" and (most := ratio[k].max()) > 1:
+            found |= ratio[k] > most * np.exp(-2 / np.sqrt(test.scale))
+    return found
 
 
 def _without(
