@@ -101,11 +101,12 @@ def shapes_and_types(detector: Detector, healthy: Healthy) -> None:
             state, d = detector.step(state, float(t[k]), y[k] if batch else y[k, 0], u[k] if batch else u[k, 0])
         for f in fields(Decision):
             expected = (n, n) if f.name == "covariance" else shapes.get(f.name, (count,))
-            if getattr(d, f.name) is None and (f.name == "covariance" or (f.name in OF_PROCESS and not more)):
+            if getattr(d, f.name) is None and (f.name in ("covariance", "shown_by") or (f.name in OF_PROCESS and not more)):
                 continue
             value = np.asarray(getattr(d, f.name))
             require(value.shape == (*batch, *expected), f"{f.name} has the shape {(*batch, *expected)}", value.shape)
-            require(value.dtype == (bool if f.name in FLAGS else float), f"{f.name} is of its type", value.dtype)
+            kind = bool if f.name in FLAGS else int if f.name == "shown_by" else float
+            require(value.dtype == kind, f"{f.name} is of its type", value.dtype)
         require(np.all(d.threshold > 0), "thresholds are positive", d.threshold)
         require(np.all(np.isfinite(d.estimate)), "the estimate is finite", d.estimate)
         assert_array_equal(np.isnan(d.fault_size), ~d.isolated, "a fault has a size where it is isolated, and NaN elsewhere")
