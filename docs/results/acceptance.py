@@ -111,9 +111,8 @@ REASONS = {  # of each condition that is missed
     "M9": "one of twelve: two independent slow courses of 1 500 rows can explain each other by chance (R2 0.65), and then the "
     "sensor is named. Limits of a slow channel are wide, so that few rows of the drift are in alarm at all.",
     "M10": "the two walks above are those in which no trend was noticed: they moved little while they were learnt.",
-    "M12": "the wild block widens the limits of the sensor, which is said with its time.",
-    "M13": "a change of gains that is small against the noise of eight sensors is beyond one limit at a time, and leaving that "
-    "sensor out explains the row.",
+    "M13": "a change of gains that is small against the noise of eight sensors shows first as noise of one of them, which may "
+    "stand out from the others by two standard errors.",
 }
 
 
