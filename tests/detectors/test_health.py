@@ -60,7 +60,7 @@ def test_a_decision_of_a_broken_run_has_no_number_and_isolates_nothing() -> None
     assert found.suspect is not None and not found.suspect[0].any()
     assert found.guarded.tolist() == [True, True] and found.diverged.tolist() == [True, False]
     for field in fields(Decision):
-        if field.name not in ("diverged", "absurd", "absurd_input"):
+        if field.name not in ("diverged", "absurd", "absurd_input", "shown_by"):
             np.testing.assert_array_equal(getattr(found, field.name)[1], getattr(given, field.name)[1], field.name)
     assert without_broken(replace(given, covariance=None), np.array([True, False])).covariance is None
     of_sensors = replace(given, process=None, process_size=None, process_sd=None, suspect=None, probability=None)
