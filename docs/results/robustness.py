@@ -70,7 +70,8 @@ IMPOSSIBLE = """## What no detector can tell
 - **An error that most sensors share, of a form that the model can follow.** The pipeline's `cross-talk` moves its 20 upstream
   pressures by 0 to -8 standard deviations along the pipe, as a slightly lower pressure would, and leaves the last one, `p_20`,
   as it is. Without `p_20` nothing is found in such readings; with it one sensor stands 8 standard deviations against all
-  others, and is isolated."""
+  others. It does so since its pressure began to change: until readings from before rule that out, the verdict is "cannot
+  tell: p_20 or model since the start", in half of the rows; in the others it is isolated."""
 
 
 REASONS = """### Why, where a limit is missed
@@ -120,7 +121,8 @@ chosen on them but that sums count from eight rows on, since four runs of the ne
 Decisions are taken as they come, row by row, without the second look that a diagnosis of a whole log takes. Two tanks and the
 engine have 24 runs a case (P9: 8, after four logs), the pipeline and the network 4, which are few: "within its interval" says
 that the limit lies in the 95 % interval. Before: the detector of commit 170c653d on the same readings. P7 is
-the median of 5 turns, of the network one turn on a machine with other work; P8, hours of tuning, has not been run."""
+the median of 5 turns, of the network one turn on a machine with other work, from before what has been off since the start
+became one of sensor or model; P8, hours of tuning, has not been run."""
 
 
 def cell_of(row: Row | None) -> str:
