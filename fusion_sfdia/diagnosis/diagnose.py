@@ -24,6 +24,7 @@ from fusion_sfdia.diagnosis.events import (
     Event,
     ProcessEvent,
     UndecidedEvent,
+    answered,
     continued,
     events_of,
     follow_ups,
@@ -173,8 +174,8 @@ class Diagnosis:
 
     @property
     def findings(self) -> list[Event]:
-        """The events, the most important first, see `by_importance`."""
-        return by_importance(self.events, self.passing)
+        """The events, the most important first, see `by_importance`, without what is `answered`."""
+        return by_importance([e for e in self.events if not answered(e, self.events)], self.passing)
 
     @property
     def standing(self) -> list[Event]:

@@ -567,6 +567,13 @@ def continued(events: Sequence[Event], t: Array) -> tuple[Event, ...]:
     return tuple(found)
 
 
+def answered(e: Event, events: Iterable[Event]) -> bool:
+    """Whether an alarm was undecided only while one of its suspects was named, as its fault began before and ended after."""
+    return isinstance(e, UndecidedEvent) and any(
+        o.hypothesis in e.suspects and o.start <= e.start and e.end <= o.end and not o.confidence < EVEN for o in events
+    )
+
+
 def throughout(events: Sequence[Event], t: Array) -> list[str]:
     """The sensors that are off from the first of the readings at t (K,), or LASTING samples after, to the last.
 

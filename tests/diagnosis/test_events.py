@@ -21,6 +21,7 @@ from fusion_sfdia.diagnosis.events import (
     ProcessEvent,
     UndecidedEvent,
     UnnamedEvent,
+    answered,
     continued,
     events_of,
     follow_ups,
@@ -95,6 +96,16 @@ def test_what_is_decided_in_the_end_is_no_open_question() -> None:
     assert decided.events[0].end == 100.0 and decided.events[1].start == 105.0
     assert decided.verdict == "sensor q12"
     assert other.verdict == "sensor q12; cannot tell: l1 or outlet"
+
+
+def test_what_is_undecided_only_while_a_suspect_is_named_is_no_finding() -> None:
+    named = Event("q12", 100.0, 500.0, 0.3, "m3/s", open=False, confidence=0.9)
+    within = UndecidedEvent("q12 or q2", 200.0, 300.0, np.nan, "", open=False, suspects=("q12", "q2"))
+    assert answered(within, [named, within])
+    for other in (replace(within, end=600.0), replace(within, start=50.0), replace(within, suspects=("l1", "l2"))):
+        assert not answered(other, [named, other])
+    assert not answered(within, [replace(named, confidence=0.3), within])
+    assert not answered(named, [named])
 
 
 def test_a_short_alarm_that_ends_by_itself_is_no_open_question() -> None:

@@ -27,7 +27,7 @@ from fusion_sfdia.learning.monitor.saved import packed, unpacked
 from fusion_sfdia.learning.monitor.stated_physics import learn_stated
 from fusion_sfdia.learning.monitor.unmodelled_logs import load, signals_of
 from fusion_sfdia.logs.check import unlike_healthy
-from fusion_sfdia.logs.loaded_log import LoadedLog
+from fusion_sfdia.logs.loaded_log import LoadedLog, counted
 from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap, load_map
 from fusion_sfdia.logs.physics import Physics
 from fusion_sfdia.plant.gaps import LONG, SKIPPED
@@ -464,7 +464,8 @@ class Monitor:
         count = sum(rows for _, rows, _, _ in self.healthy)
         used, n = self.channels.names, self.channels.count
         lines = [
-            f"learnt from {count} healthy rows, {lasting(self.dt)} apart: {n} sensors, {len(used) - n} inputs; windows of up "
+            f"learnt from {count} healthy rows, {lasting(self.dt)} apart: {counted(n, 'sensor')}, "
+            f"{counted(len(used) - n, 'input')}; windows of up "
             f"to {max(t.scale for t in self.learnt.limits.tests)} rows",
             self.promise,
             *str(self.physics).splitlines(),
