@@ -24,7 +24,7 @@ def diagnose_units(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.common.files import all_or_none, locked
     from fusion_sfdia.learning.monitor.monitor import FALSE_ALARM
     from fusion_sfdia.logs.loaded_log import counted
-    from fusion_sfdia.logs.physics import Physics
+    from fusion_sfdia.logs.physics import StatedPhysics
     from fusion_sfdia.report.units_page import COLUMNS, write_units
 
     beside = {"--healthy": chosen.healthy, "--monitor": chosen.monitor, "--data": chosen.data, "--save": chosen.save}
@@ -40,7 +40,7 @@ def diagnose_units(chosen: argparse.Namespace) -> int:
     say = partial(print, file=sys.stderr if chosen.json else sys.stdout, flush=True)
     settings = {
         "inputs": chosen.inputs, "ignore": chosen.ignore, "log_map": chosen.map, "learn": chosen.learn,
-        "false_alarm": chosen.false_alarm or FALSE_ALARM, "physics": Physics(chosen.same, drives_of(chosen.drives)),
+        "false_alarm": chosen.false_alarm or FALSE_ALARM, "physics": StatedPhysics(chosen.same, drives_of(chosen.drives)),
     }  # fmt: skip
     out = chosen.out or Path("monitor") / "units"
     with locked(out, force=chosen.force), tempfile.TemporaryDirectory() as folder, _at_work(chosen) as work_off:

@@ -8,5 +8,5 @@ from fusion_sfdia.logs.log_forms import as_log as as_log
 from fusion_sfdia.logs.log_map import Column as Column
 from fusion_sfdia.logs.log_map import LogMap as LogMap
 from fusion_sfdia.logs.log_map import load_map as load_map
-from fusion_sfdia.logs.physics import Physics as Physics
+from fusion_sfdia.logs.physics import StatedPhysics as StatedPhysics
 from fusion_sfdia.plant.gaps import Gap as Gap

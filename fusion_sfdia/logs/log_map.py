@@ -17,7 +17,7 @@ from zoneinfo import ZoneInfo
 from fusion_sfdia.common.arguments import number, shown, whole
 from fusion_sfdia.common.numerals import code
 from fusion_sfdia.logs.epochs import NAMES, SECONDS, count_of
-from fusion_sfdia.logs.physics import Physics
+from fusion_sfdia.logs.physics import StatedPhysics
 from fusion_sfdia.logs.problems import Problems
 
 AT_THE_SAMPLE, UNTIL_THE_SAMPLE = "at the sample", "until the sample"
@@ -156,7 +156,7 @@ class LogMap:
         Titles of a long format, with one value a row.
     columns : mapping of str to Column, default {}
         What each column is, by title; for columns that are not among them, their own title.
-    physics : Physics, default Physics()
+    physics : StatedPhysics, default StatedPhysics()
         What `monitor` is to know of the columns, by their names.
 
     Raises
@@ -202,7 +202,7 @@ class LogMap:
     tag: str = ""
     value: str = ""
     columns: Mapping[str, Column] = field(default_factory=dict)
-    physics: Physics = field(default_factory=Physics)
+    physics: StatedPhysics = field(default_factory=StatedPhysics)
 
     def __post_init__(self) -> None:
         for what in ("time", "mask", "bad"):
@@ -303,9 +303,11 @@ def load_map(path: str | Path) -> LogMap:
         raise ValueError(f"{path} is not TOML ({error}); expected the tables [log], [columns] and [physics]") from error
     problems = Problems(str(path))
     tables = _known(problems, "", found, ("log", "columns", "physics"), tables=True)
-    physics = Physics()
+    physics = StatedPhysics()
     try:
-        physics = Physics(**_known(problems, "[physics] ", tables.get("physics", {}), [f.name for f in fields(Physics)]))
+        physics = StatedPhysics(
+            **_known(problems, "[physics] ", tables.get("physics", {}), [f.name for f in fields(StatedPhysics)])
+        )
     except ValueError as error:
         problems.add("map", f"[physics] {error}")
     columns = {}

@@ -11,7 +11,7 @@ from fusion_sfdia.plant.signals import Signal
 
 
 @dataclass(frozen=True)
-class Physics:
+class StatedPhysics:
     """Sensors that measure one quantity, and inputs that drive readings.
 
     Parameters
@@ -28,9 +28,9 @@ class Physics:
 
     Examples
     --------
-    >>> from fusion_sfdia.logs import Physics
-    >>> Physics(same=["T1", "T2"], drives={"pump": "flow"})
-    Physics(same=(('T1', 'T2'),), drives={'pump': ('flow',)})
+    >>> from fusion_sfdia.logs import StatedPhysics
+    >>> StatedPhysics(same=["T1", "T2"], drives={"pump": "flow"})
+    StatedPhysics(same=(('T1', 'T2'),), drives={'pump': ('flow',)})
     """
 
     same: Sequence[Sequence[str]] = ()
@@ -57,21 +57,21 @@ class Physics:
                     )
                 taken[name] = group
 
-    def beside(self, other: Physics) -> Physics:
+    def beside(self, other: StatedPhysics) -> StatedPhysics:
         """What both state.
 
         Parameters
         ----------
-        other : Physics
+        other : StatedPhysics
             What is stated elsewhere.
 
         Returns
         -------
-        Physics
+        StatedPhysics
             With the groups and the inputs of both; of an input that both state, the sensors of both.
         """
         drives = {u: (*self.drives.get(u, ()), *other.drives.get(u, ())) for u in (*self.drives, *other.drives)}
-        return Physics((*self.same, *other.same), drives)
+        return StatedPhysics((*self.same, *other.same), drives)
 
     def require(self, sensors: Sequence[Signal], inputs: Sequence[Signal]) -> None:
         """Require that each name is that of a sensor, or of an input.

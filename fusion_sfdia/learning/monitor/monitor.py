@@ -29,7 +29,7 @@ from fusion_sfdia.learning.monitor.unmodelled_logs import load, signals_of
 from fusion_sfdia.logs.check import unlike_healthy
 from fusion_sfdia.logs.loaded_log import LoadedLog, counted
 from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap, load_map
-from fusion_sfdia.logs.physics import Physics
+from fusion_sfdia.logs.physics import StatedPhysics
 from fusion_sfdia.plant.gaps import LONG, SKIPPED
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
@@ -71,7 +71,7 @@ class Monitor:
         They, in rows of the grid.
     remarks : tuple of str
         What is to be known of what was learnt.
-    physics : Physics
+    physics : StatedPhysics
         What was stated of it.
 
     Examples
@@ -98,7 +98,7 @@ class Monitor:
     healthy: tuple[tuple[str, int, str, str], ...]
     logs: tuple[Log, ...]
     remarks: tuple[str, ...] = field(default=())
-    physics: Physics = field(default_factory=Physics)
+    physics: StatedPhysics = field(default_factory=StatedPhysics)
 
     @classmethod
     def fit(
@@ -157,7 +157,7 @@ class Monitor:
             loaded.append(load(source, sensors, signals, written))
             say(source, loaded[-1])
         names = list(map(_name, sources, range(1, len(sources) + 1)))
-        physics = written.physics.beside(Physics(same, drives or {}))
+        physics = written.physics.beside(StatedPhysics(same, drives or {}))
         return cls.of_logs(
             sensors, [one.log for one in loaded], inputs=signals, false_alarm=false_alarm, names=names,
             clocks=[one.clock for one in loaded], each=each, same=physics.same, drives=physics.drives,
@@ -221,7 +221,7 @@ class Monitor:
                     f"healthy log {k} has y of shape {np.shape(log.y)} and u of shape {np.shape(log.u)}; expected "
                     f"{len(sensors)} sensors and {len(inputs)} inputs, a row a time"
                 )
-        physics = Physics(same, drives or {})
+        physics = StatedPhysics(same, drives or {})
         physics.require(sensors, inputs)
         dt = dt or usual_step(healthy)
         stated = Rate.of(false_alarm)
@@ -541,7 +541,7 @@ class Monitor:
             healthy = tuple((str(n), int(k), str(a), str(b)) for n, k, a, b in about["healthy"])
             rate, remarks = Rate.of(about["rate"]), tuple(map(str, about["remarks"]))
             logs = tuple(Log(*(arrays[f"log {k} {what}"] for what in Log._fields)) for k in range(len(healthy)))
-            physics = Physics(**about["physics"])
+            physics = StatedPhysics(**about["physics"])
             return cls(channels, float(about["dt"]), rate, float(about["per_row"]), learnt, healthy, logs, remarks, physics)
         except OSError as error:
             raise ValueError(f"{path} cannot be read: {error}") from error

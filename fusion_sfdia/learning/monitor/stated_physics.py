@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.learning.monitor.channels import Channels
 from fusion_sfdia.learning.monitor.residuals import LATE, Means
 from fusion_sfdia.learning.monitor.windows import window_means
-from fusion_sfdia.logs.physics import Physics
+from fusion_sfdia.logs.physics import StatedPhysics
 
 Array = NDArray[Any]
 
@@ -105,7 +105,9 @@ class Stated(NamedTuple):
         return found
 
 
-def learn_stated(physics: Physics, channels: Channels, z: Sequence[Array], v: Sequence[Array]) -> tuple[Stated, list[str]]:
+def learn_stated(
+    physics: StatedPhysics, channels: Channels, z: Sequence[Array], v: Sequence[Array]
+) -> tuple[Stated, list[str]]:
     """What of the physics can be used, by scaled readings z (K, n) and readings v (K, all) of pieces; and remarks on the rest.
 
     ValueError for a group whose gain can be neither learnt nor read from the units.

@@ -14,7 +14,7 @@ from fusion_sfdia.common.clock import Clock
 from fusion_sfdia.learning.monitor.causes import MOVED, ONE_OF, OUTSIDE, Causes
 from fusion_sfdia.learning.monitor.monitor import Monitor
 from fusion_sfdia.logs.loaded_log import LoadedLog
-from fusion_sfdia.logs.physics import Physics
+from fusion_sfdia.logs.physics import StatedPhysics
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.signals import Signal
 
@@ -169,7 +169,7 @@ def test_a_driven_reading_that_moves_alone_is_wrong_and_with_its_driver_or_other
 )
 def test_what_does_not_fit_is_refused(stated: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        Physics(**stated).require(signals(10), [PUMP])
+        StatedPhysics(**stated).require(signals(10), [PUMP])
 
 
 def test_unlike_units_need_a_quantity_that_moved_when_healthy() -> None:
