@@ -15,7 +15,7 @@ from diagnosis_schema import require_described
 from fusion_sfdia.cli.main import main
 from fusion_sfdia.learning.monitor.held_out import BLOCKS
 from fusion_sfdia.learning.monitor.monitor import Monitor
-from fusion_sfdia.logs.physics import Physics
+from fusion_sfdia.logs.physics import StatedPhysics
 from fusion_sfdia.plant.log import Log
 
 DT = 10.0
@@ -157,7 +157,7 @@ def test_physics_is_stated_by_options_and_by_the_map(
     assert main(["monitor", *healthy, *options, "--save", kept]) == 0
     told = ["a, c: stated to measure one quantity", "b, d: stated to measure one quantity", "a, b, c: stated to move with load"]
     assert [line for line in capsys.readouterr().out.splitlines() if " stated to " in line] == told
-    assert Monitor.load(kept).physics == Physics([["a", "c"], ["b", "d"]], {"load": ["a", "b", "c"]})
+    assert Monitor.load(kept).physics == StatedPhysics([["a", "c"], ["b", "d"]], {"load": ["a", "b", "c"]})
     assert main(["monitor", *healthy, "--same", "a,e", "--save", kept]) == 2
     assert "same: 'e' is no column of the logs; expected a sensor, one of a, b, c, d" in capsys.readouterr().err
 

@@ -1,9 +1,9 @@
 """Which faults of each sensor have not been there since the first sample.
 
 An error that a sensor has had in all its readings is its fault, or one of the model: without a reading from before, nothing
-tells these apart. A fault has begun since only where the sensor's own readings have ruled it out before. With c = a / b the size
-of a bias by the oldest onset of the windows, and s its standard deviation (`likelihood_window`), in samples without a sign of
-an alarm,
+tells these apart. A fault has begun since only where the sensor's own readings have ruled it out before. With c = a / b the
+size of a bias by the oldest onset of the windows, and s its standard deviation (`likelihood_window`), in samples without a
+sign of an alarm,
 
     high <- min(high, c + SURE s),    low <- max(low, c - SURE s)
 
