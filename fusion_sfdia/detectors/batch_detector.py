@@ -9,7 +9,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from datetime import datetime
 from functools import cached_property
 from math import prod
 from typing import Any, ClassVar, NamedTuple, Self
@@ -210,21 +209,6 @@ class BatchDetector(Claims, ABC):
             With that plant.
         """
         return replace(self, plant=plant)
-
-    def dated(self, start: datetime | None) -> Self:
-        """The detector for readings whose seconds begin at a moment of the wall clock.
-
-        Parameters
-        ----------
-        start : datetime or None
-            Their second 0; None where it is not known.
-
-        Returns
-        -------
-        Self
-            Itself, unless what it has learnt ages.
-        """
-        return self
 
     @property
     def hypotheses(self) -> tuple[str, ...]:

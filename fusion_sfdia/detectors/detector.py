@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
+from datetime import datetime
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -201,8 +202,9 @@ class Claims(Protocol):
     its thresholds are designed, fitted_rate that for which they were fitted to healthy readings, None where there is none.
     claimed_rate: alarms per step over all sensors without a fault that it claims at most, NaN where it claims nothing. steps:
     as `step` for each of t (K,), y (K, N), u (K, m) of one run, with the same bits, where there is a faster way; else None.
-    watching: itself without accommodation, where it has any, so that readings are not replaced. fit_thresholds: itself with
-    thresholds for that rate from healthy readings.
+    watching: itself without accommodation, where it has any, so that readings are not replaced. dated: itself for readings
+    whose seconds begin at a moment of the wall clock, None where that is not known; another where what was learnt ages.
+    fit_thresholds: itself with thresholds for that rate from healthy readings.
     """
 
     @Default
@@ -242,6 +244,9 @@ class Claims(Protocol):
         return None
 
     def watching(self) -> Self:
+        return self
+
+    def dated(self, start: datetime | None) -> Self:
         return self
 
     def fit_thresholds(self, healthy: Any, false_alarm: float = 1e-3) -> Self:

@@ -67,18 +67,13 @@ def prepared(detector: Detector, loaded: LoadedLog, build: Callable[[Plant], Det
     loaded = checked(plant, loaded)
     regular = regularities(plant, loaded.log)
     return Prepared(
-        dated(with_regularities(detector, regular, build), loaded.clock),
+        with_regularities(detector, regular, build).dated(loaded.clock.start),
         without_suspects(plant, loaded, regular).log,
         loaded.clock,
         (*loaded.absent, *loaded.suspects),
         loaded.suspects,
         briefly(f for f in loaded.findings if f.kind in CHECKED),
     )
-
-
-def dated(detector: Detector, clock: Clock) -> Detector:
-    """The detector for readings on this clock."""
-    return detector.dated(clock.start) if isinstance(detector, BatchDetector) else detector
 
 
 def with_regularities(detector: Detector, regular: Regularities, build: Callable[[Plant], Detector] | None = None) -> Detector:

@@ -290,8 +290,9 @@ def _process(e: ProcessEvent, w: Wording, when: str) -> str:
 
 def _undecided(e: UndecidedEvent, words: Words, when: str) -> str:
     names = [str(words.get(name) or name) for name in e.suspects]
-    if since := [w for name in e.suspects if (w := words.get(name)) and w.part == "since start"]:
-        others, have = _either([name for name in names if name != str(since[0])]), "has" if e.open else "had"
+    of_start = {str(w) for name in e.suspects if (w := words.get(name)) and w.part == "since start"}
+    if of_start:
+        others, have = _either([name for name in names if name not in of_start]), "has" if e.open else "had"
         return (
             f"{_first(others)} {have} differed from the model from the first rows on ({when}): either is wrong, and no reading "
             "from before tells which. Check the sensor on site; a model tuned on a healthy log tells them apart."

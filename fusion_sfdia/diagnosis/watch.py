@@ -30,7 +30,6 @@ from fusion_sfdia.detectors.verdicts import Conclusion, Verdict, conclusion_of
 from fusion_sfdia.diagnosis.alarms import Alarms
 from fusion_sfdia.diagnosis.changes import KEPT, Change
 from fusion_sfdia.diagnosis.device_health import DeviceHealth, sensor_health
-from fusion_sfdia.diagnosis.prepared import dated
 from fusion_sfdia.diagnosis.row_order import InOrder, WatchRow
 from fusion_sfdia.diagnosis.second_look import Seen
 from fusion_sfdia.diagnosis.slow_sensors import SlowSensors
@@ -410,7 +409,7 @@ class Watch:
 
         begins: the time at which the detector starts anew, NaN where it goes on.
         """
-        detector = self.judge = self.judge or dated(self.detector, self.clock)
+        detector = self.judge = self.judge or self.detector.dated(self.clock.start)
         plant, state, steps = detector.plant, self.state, []
         require_model(plant, row.t - plant.dt, row.t, self.x, u)
         if np.isfinite(begins) or state is None:

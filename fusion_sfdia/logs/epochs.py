@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from fusion_sfdia.common.clock import posix
 
 Array = NDArray[Any]
 
@@ -95,8 +97,7 @@ def count_of(text: str) -> EpochCount | None:
         return None
     if not unit or not float(factor or 1.0) > 0:
         return None
-    since = (moment.replace(tzinfo=moment.tzinfo or UTC) - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds()
-    return EpochCount(text, float(factor or 1.0) * SECONDS[unit], since, local=unit == "d" and moment.tzinfo is None)
+    return EpochCount(text, float(factor or 1.0) * SECONDS[unit], posix(moment), local=unit == "d" and moment.tzinfo is None)
 
 
 def since_1970(unit: str) -> EpochCount:

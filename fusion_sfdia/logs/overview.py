@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from datetime import UTC, timedelta
+from datetime import timedelta
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.common.arguments import some
+from fusion_sfdia.common.clock import posix
 from fusion_sfdia.logs.epochs import FIRST, LONGEST, LONGEST_COUNT, Calendar, candidates, is_near, shown_as
 from fusion_sfdia.logs.loaded_log import Finding, counted
 from fusion_sfdia.logs.time_order import HOUR, places_changing
@@ -72,8 +73,7 @@ def _in_the_future(t: Array, times: Times, expected: Expected) -> list[Finding]:
     """A finding on stamps that are later than the present, with what else they may be."""
     if times.clock.start is None:
         return []
-    start = times.clock.start
-    since_1970 = (start if start.tzinfo else start.replace(tzinfo=UTC)).timestamp()
+    since_1970 = posix(times.clock.start)
     count = int(np.sum(since_1970 + t > expected.latest))
     if not count:
         return []

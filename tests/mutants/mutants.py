@@ -1100,8 +1100,8 @@ MUTANTS = (
     ),
     Mutant(
         "fusion_sfdia/detectors/kalman_banks/since_start.py",
-        "SURE * np.sqrt(inflation.own[..., -1, :] / b)",
-        "SURE * np.sqrt(1 / b)",
+        "np.sqrt(inflation.own[..., -1, :] / b)",
+        "np.sqrt(1 / b)",
         "tests/detectors/kalman_banks/test_faults_since_start.py::test_a_sample_rules_out_what_is_more_than_three_deviations_off",
     ),
     Mutant(

@@ -359,11 +359,12 @@ class RobustBank(ExcludingBank):
                 found = unclipped(clipped(used, spread), used, whole).found
         if self._needs_earlier:
             ruled_out = before_jumps(ruled_out, noise.last, everything, spread)
-        if self._needs_earlier and not begins:
-            since = self._since_start(isolated, by_windows, ruled_out, everything, evidence)
-            calm = ~stands & (evidence.statistic_p < limits.process * CALM).all(axis=-1)
-            fits = usable & (evidence.statistic_s < limits.window * CALM) & calm[..., None]
-            ruled_out = seen_again(ruled_out, weighed[0], inflations[0], fits)._replace(unclear=ruled_out.unclear | since)
+            if not begins:
+                since = self._since_start(isolated, by_windows, ruled_out, everything, evidence)
+                calm = ~stands & (evidence.statistic_p < limits.process * CALM).all(axis=-1)
+                fits = usable & (evidence.statistic_s < limits.window * CALM) & calm[..., None]
+                ruled_out = seen_again(ruled_out, weighed[0], inflations[0], fits)
+                ruled_out = ruled_out._replace(unclear=ruled_out.unclear | since)
         if begins and now.k == LEARNT_AGAIN[-1]:
             restart = np.ones(stands.shape, bool)
         capped = capped & ~unexplained & (not begins)
@@ -508,7 +509,7 @@ class RobustBank(ExcludingBank):
         self, isolated: Array, by_windows: Accepted, ruled_out: RuledOut, found: LeaveOneOut, evidence: Evidence
     ) -> Array:
         """The sensors isolated now (..., N), by sample or windows, whose fault may have been there since the first one."""
-        if not (self._needs_earlier and isolated.any()):
+        if not isolated.any():
             return np.zeros(isolated.shape, bool)
         named = by_windows.is_sensor[..., None] & one_hot(by_windows.sensor, isolated.shape[-1])
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -43,6 +43,11 @@ class RuledOut(NamedTuple):
         """Whether faults of that size (..., N) may have been there since the first sample."""
         return np.asarray((fault <= self.high) & (fault >= self.low))
 
+    def beyond(self, size: Array, sd: Array, where: Array) -> RuledOut:
+        """With what a sample rules out in which an error was of that size (..., N), of sensors `where` (..., N) holds."""
+        high = np.minimum(self.high, np.where(where, size + SURE * sd, np.inf))
+        return self._replace(high=high, low=np.maximum(self.low, np.where(where, size - SURE * sd, -np.inf)))
+
 
 def nothing_ruled_out(batch: tuple[int, ...], sensors: int) -> RuledOut:
     """Before the first readings."""
@@ -55,11 +60,7 @@ def seen_again(now: RuledOut, window: Weighed, inflation: Inflation, where: Arra
     sensors = now.high.shape[-1]
     a, b = window.a[..., -1, :sensors], window.b[..., -1, :sensors]
     with np.errstate(divide="ignore", invalid="ignore"):
-        size, reach = a / b, SURE * np.sqrt(inflation.own[..., -1, :] / b)
-        high, low = (
-            np.where(where & (b > 0), bound, none) for bound, none in ((size + reach, np.inf), (size - reach, -np.inf))
-        )
-    return now._replace(high=np.minimum(now.high, high), low=np.maximum(now.low, low))
+        return now.beyond(a / b, np.sqrt(inflation.own[..., -1, :] / b), where & (b > 0))
 
 
 def before_jumps(now: RuledOut, last: Array, found: LeaveOneOut, variance: Array) -> RuledOut:
@@ -70,8 +71,4 @@ def before_jumps(now: RuledOut, last: Array, found: LeaveOneOut, variance: Array
     with np.errstate(divide="ignore", invalid="ignore"):
         sd = 1 / np.sqrt(found.weight)
         jumps = found.used & ((found.whitened * sd - last) ** 2 / 2 > JUMP * variance)
-        if not jumps.any():
-            return now
-        size, reach = last * sd, SURE * np.sqrt(variance) * sd
-    high, low = np.where(jumps, size + reach, np.inf), np.where(jumps, size - reach, -np.inf)
-    return now._replace(high=np.minimum(now.high, high), low=np.maximum(now.low, low))
+        return now.beyond(last * sd, np.sqrt(variance) * sd, jumps) if jumps.any() else now

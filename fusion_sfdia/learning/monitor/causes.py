@@ -25,9 +25,7 @@ SMALL = 0.15  # or so small a share of the largest ratio; chosen on a recorded f
 TWO = 8  # sensors, from which on two may be named
 CLEAR = 2.0  # times its limit that the first of two leaves, from which on the second is named, too, and not suspected
 WORSE = 2.0  # times as far off as it disagrees with others of its quantity: a sensor that is not wrong alone
-EVIDENCE = (
-    0.6  # difference of squares of two of one quantity, in limits: a ratio of likelihoods above 100 where limits are 4 sd
-)
+EVIDENCE = 0.6  # difference of squares of two of one quantity, in limits: likelihoods above 100 to 1 where limits are 4 sd
 QUIET = 0.5  # of how far a reading is off, in limits, up to which others that its input drives have not moved with it
 HOLD = 4  # windows of the scale that saw it, for which a process verdict keeps sensors from being named
 REST = 16  # rows without trouble after which it is over
@@ -228,10 +226,8 @@ def _agreeing(
     kind, named, suspect, proven, size = into
     n, gain = size.shape[1], np.abs(learnt.stated.gain)
     levels = [k for k, t in enumerate(learnt.limits.tests) if t.kind == "level"]
-    by, top = (
-        np.array([learnt.limits.tests[k].scale for k in levels])[np.argmax(ratio[levels], axis=0)],
-        ratio[levels].max(axis=0),
-    )
+    by = np.array([learnt.limits.tests[k].scale for k in levels])[np.argmax(ratio[levels], axis=0)]
+    top = ratio[levels].max(axis=0)
     for w, disagree in found.disagree.items():
         d = disagree[rows]
         with np.errstate(invalid="ignore"):

@@ -438,7 +438,7 @@ def _limits(tests: tuple[Test, ...], stats: list[Array], used: list[Array], rate
     middle = _median(q, 0)
     wild = []
     for b, k, i in np.argwhere(q > WILD * middle).tolist():
-        if tests[k].kind in ("level", "change", "same", "noise"):
+        if tests[k].has_scale:
             wild.append(UnlikeBlock(b, i, float(q[b, k, i] / middle[k, i])))
     n = q.shape[-1]
     full = limits(np.ones(blocks, bool))

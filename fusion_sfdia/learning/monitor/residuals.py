@@ -46,8 +46,13 @@ class Test(NamedTuple):
     kind: str
     scale: int
 
+    @property
+    def has_scale(self) -> bool:
+        """Whether it is of windows, and graded: not a count of rows."""
+        return self.kind in ("level", "change", "same", "noise")
+
     def __str__(self) -> str:
-        return f"{self.kind} over {self.scale} rows" if self.kind in ("level", "change", "same", "noise") else self.kind
+        return f"{self.kind} over {self.scale} rows" if self.has_scale else self.kind
 
 
 class Means(NamedTuple):
@@ -108,7 +113,7 @@ class ScaledRows(NamedTuple):
 
 class Ahead(NamedTuple):
     """What of the rows ahead of a piece belongs to its rows: what was read, the last three scaled readings (3, N), and the last
-    readings of all columns (`BEFORE` + 1, n).
+    readings of all columns (`BEFORE` + 2, n).
     """
 
     read: Read
