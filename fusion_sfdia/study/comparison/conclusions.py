@@ -26,7 +26,7 @@ RARELY = 0.01  # of samples: what is less is not reported
 MOST_EQUALS = 4  # detectors that are no worse beyond chance, by name
 AUDIT = (
     "These are faults in the noise that a plant states. What other noise, starts, model errors and causes do to a detector, "
-    "live from the first row, `fusion-sfdia audit` tries on any plant."
+    "live from the first row, fusion-sfdia audit tries on any plant."
 )
 
 
