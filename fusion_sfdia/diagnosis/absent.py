@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import binom
 
 from fusion_sfdia.diagnosis.events import spans
 from fusion_sfdia.plant.regularity import equal_readings
@@ -14,6 +15,9 @@ from fusion_sfdia.plant.regularity import equal_readings
 Array = NDArray[Any]
 
 DUE = 20  # readings in a row that are due: where half of them are missing, the sensor has dropped out
+COMPLETE = 0.9  # share of the readings due, and of those at a multiple of the period, below which some miss at random
+HEALTHY = 0.75  # quantile of the readings of windows, half of which are usual: a quarter of a log is enough to know
+BY_CHANCE = 1e-6  # probability that so few readings come in a window
 REPEATED = 16  # equal readings in a row: with 8 pairs a test of quiet readings has power, see `detectors.kalman_banks.quiet`
 LONGER = 10  # times the usual number of equal readings in a row
 TWICE = 2  # times the largest number that healthy logs show
@@ -26,8 +30,8 @@ def dropouts(y: Array) -> list[list[tuple[int, int]]]:
 
     A sensor is due every p samples, p the median distance of its readings (of those that differ); of `DUE` readings due in a
     row half are missing, and the stretch goes from the first sample that is overdue to the last. Of a sensor that misses a
-    tenth of its readings at random half of 20 are missing with a probability of 7e-6. Samples without any reading are a gap of
-    the log and do not count.
+    tenth of its readings at random half of 20 are missing with a probability of 7e-6; of one that misses more, so many have to
+    be missing that `BY_CHANCE` is not exceeded. Samples without any reading are a gap of the log and do not count.
     """
     known = np.isfinite(y)
     rows = np.flatnonzero(np.any(known, axis=1))
@@ -40,7 +44,8 @@ def dropouts(y: Array) -> list[list[tuple[int, int]]]:
         period = _usual_distance(readings[at], at)
         width = min(DUE * period, column.size)
         read = np.concatenate([[0], np.cumsum(column)])
-        few = read[width:] - read[:-width] <= width / period / 2  # of the window that begins here
+        count = read[width:] - read[:-width]  # of the window that begins here
+        few = count <= _fewest(count, width, period, _regular(at, period))
         if width < DUE * period:
             few &= column.size >= DUE * period // 2
         missing = np.zeros(column.size, bool)
@@ -56,16 +61,30 @@ def dropouts(y: Array) -> list[list[tuple[int, int]]]:
     return found
 
 
-def due(column: Array) -> Array:
-    """Where a reading of a sensor (K,), NaN where missing, is or should be: of one that reads every p-th sample, with p as in
-    `dropouts`, not in between.
+def _fewest(count: Array, width: int, period: int, regular: bool) -> float:
+    """The readings of a window up to which its sensor has dropped out, of the counts (W,) of all windows; regular: whether its
+    readings come at multiples of the period.
     """
-    at = np.flatnonzero(np.isfinite(column))
-    period = _usual_distance(column[at], at)
-    if period < 2:
+    usual = count[count >= np.quantile(count, HEALTHY) / 2]
+    share, half = float(np.median(usual)) / width, width / period / 2
+    return half if regular and share * period >= COMPLETE else min(half, float(binom.ppf(BY_CHANCE, width, share)) - 1)
+
+
+def due(column: Array, silent: Sequence[tuple[int, int]]) -> Array:
+    """Where a reading of a sensor (K,), NaN where missing, is or should be, with p and its stretches `silent` as in `dropouts`:
+    of one that reads every p-th sample not in between, of one that misses some at random in those stretches.
+    """
+    known = np.isfinite(column)
+    at = np.flatnonzero(known)
+    period, within = _usual_distance(column[at], at), np.zeros(column.size, bool)
+    for a, b in silent:
+        within[a : b + 1] = True
+    if period == 1 and (within.all() or np.mean(known[~within]) >= COMPLETE):
         return np.ones(column.size, bool)
-    last = np.maximum.accumulate(np.where(np.isfinite(column), np.arange(column.size), -1))
-    return np.asarray(np.isfinite(column) | (np.arange(column.size) - last >= 2 * period))
+    if period == 1 or not _regular(at, period):
+        return known | within
+    last = np.maximum.accumulate(np.where(known, np.arange(column.size), -1))
+    return np.asarray(known | (np.arange(column.size) - last >= 2 * period))
 
 
 def repeats(y: Array, healthy: Sequence[int] | None = None) -> list[list[tuple[int, int]]]:
@@ -95,6 +114,11 @@ def beyond_resolution(frozen: Sequence[list[tuple[int, int]]], z: Array, resolut
         [(a, b) for a, b in stretches if not step or np.mean(off[a : b + 1, i]) > SHARE]
         for i, (stretches, step) in enumerate(zip(frozen, resolution, strict=True))
     ]
+
+
+def _regular(at: Array, period: int) -> bool:
+    """Whether readings at these positions come at multiples of the period."""
+    return bool(np.mean(np.diff(at) % period == 0) >= COMPLETE)
 
 
 def _usual_distance(readings: Array, at: Array) -> int:

@@ -57,7 +57,7 @@ def explained(
         held = np.zeros(len(t), bool)
         for a, b in spans:
             held[a : b + 1] = True
-        expected = due(y[:, i])
+        expected = due(y[:, i], silent[i])
         pairs = np.diff(y[~held & np.isfinite(y[:, i]), i])
         still = pairs.size > 0 and bool(np.mean(pairs == 0) > STILL)
         mine, noise = [], noise_of(detector.plant, i)

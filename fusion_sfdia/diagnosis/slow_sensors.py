@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.plant.plant import Plant
-from fusion_sfdia.plant.regularity import FEWEST, SEVERAL, of_lengths, step_of
+from fusion_sfdia.plant.regularity import FEWEST, of_lengths, repeats, step_of
 
 Array = NDArray[Any]
 
@@ -31,7 +31,8 @@ class SlowSensors:
         count = len(plant.sensors)
         self.names, self.say = plant.sensor_names, say
         self.last, self.age, self.seen = np.full(count, np.nan), np.zeros(count, int), np.zeros(count, int)
-        self.lengths, self.changes = np.zeros((count, KEPT), int), np.zeros((count, KEPT))
+        self.lengths = np.zeros((count, KEPT), int)
+        self.changes, self.values = np.zeros((count, KEPT)), np.zeros((count, KEPT))
         self.longest = np.full(count, UNDECIDED)  # repeats have a lower age
         self.announced = np.zeros(count, bool)
 
@@ -52,21 +53,20 @@ class SlowSensors:
         self.seen[i] += 1
         if k == 0:
             return
-        self.lengths[i, (k - 1) % KEPT], self.changes[i, (k - 1) % KEPT] = self.age[i] + 1, change
+        of_run = self.lengths, self.changes, self.values
+        for kept, value in zip(of_run, (self.age[i] + 1, change, self.last[i]), strict=True):
+            kept[i, (k - 1) % KEPT] = value
         if k < FEWEST:
             return
-        lengths, changes = self.lengths[i, : min(k, KEPT)], self.changes[i, : min(k, KEPT)]
+        lengths, changes, values = (kept[i, : min(k, KEPT)] for kept in of_run)
         self.longest[i] = 1
-        if np.median(lengths) < 2:
-            return
-        step = step_of(changes)
-        if step and np.mean(np.rint(changes / step) >= 2) < SEVERAL:
+        if not repeats(lengths, values, changes, step_of(changes)):
             return
         found = of_lengths(lengths)
         self.longest[i] = found.longest
         if not self.announced[i]:
             self.announced[i] = True
-            self.say(f"{self.names[i]} repeats its value, new every {found.usual} rows: {CURE}")
+            self.say(f"{self.names[i]} repeats its value, {found.words}: {CURE}")
 
     def arrays(self) -> dict[str, Array]:
         """What `restore` goes on from."""
@@ -81,4 +81,4 @@ class SlowSensors:
             setattr(self, name, arrays[name].copy())
 
 
-ARRAYS = ("last", "age", "seen", "lengths", "changes", "longest", "announced")
+ARRAYS = ("last", "age", "seen", "lengths", "changes", "values", "longest", "announced")

@@ -40,7 +40,7 @@ from fusion_sfdia.plant.model_errors import RAISED, ModelError, described, requi
 
 Array = NDArray[Any]
 
-VERSION = 5  # of the file in which a watch is saved
+VERSION = 6  # of the file in which a watch is saved
 ANEW = "name another file, or remove it to begin anew"
 OF_INPUTS = ("u", "given", "known_at")
 

@@ -39,8 +39,8 @@ class Regularities:
         found = [
             Finding(
                 "repeat", plant.sensor_names[i], self.taken[i],
-                f"{plant.sensor_names[i]} repeats its value, new every {one.usual} rows ({one.usual * self.step:.6g} s): "
-                f"{self.taken[i]} repeats are taken as missing",
+                f"{plant.sensor_names[i]} repeats its value, {one.words}"
+                f"{f' ({one.usual * self.step:.6g} s)' * (one.usual > 1)}: {self.taken[i]} repeats are taken as missing",
             )
             for i, one in self.repeats.items()
         ]  # fmt: skip

@@ -16,6 +16,10 @@ Array = NDArray[Any]
 
 FEWEST = 5  # runs of equal readings, or changes, from which a regularity is known
 SEVERAL = 0.2  # share of changes by two steps of resolution and more, above which equal readings in a row mean a repeat
+OFTEN = 0.125  # share of the runs that have two readings and more, from which on a sensor repeats its value at times
+BY_STEPS = (
+    3.0  # times as many equal readings in a row as half of the changes by one step: new ones of such noise have 1.6 times
+)
 SPREAD = 6.0  # standard deviations of the lengths of runs, within which a run is a repeat
 LONGEST_PHASE = 60  # rows between new readings that are sought in a log with coarse readings
 BY_CHANCE = 1e-4  # probability of a phase without a repeat
@@ -32,14 +36,20 @@ CONTINUOUS = 4.0  # largest change at a jump without the period over the usual o
 
 
 class Repeat(NamedTuple):
-    """Readings that repeat their value. usual: readings of one value; longest: so many at most, more is a frozen sensor.
+    """Readings that repeat their value.
 
+    usual: readings of one value, 1 where most are new; longest: so many at most, more is a frozen sensor.
     on_phase: the position of new readings modulo `usual`, where only that tells them from coarse ones; None elsewhere.
     """
 
     usual: int
     longest: int
     on_phase: int | None = None
+
+    @property
+    def words(self) -> str:
+        """When new readings come: "new every 10 rows"."""
+        return f"new every {self.usual} rows" if self.usual > 1 else "in some of the rows"
 
 
 def equal_readings(column: Array) -> tuple[Array, Array, Array]:
@@ -74,18 +84,34 @@ def step_of(changes: Array) -> float:
 def repeat(column: Array, step: float | None = None) -> Repeat | None:
     """How the readings of a sensor (K,), NaN where missing, repeat their value; None where they do not. step: `resolution`.
 
-    Half of the runs of equal readings, without the first and last, have two readings or more. Of coarse readings that is
-    usual, too, where hardly any changes by more than a step; there, new ones have to come at a fixed phase.
+    Of coarse readings that come anew at a fixed phase those between are repeats; of others `repeats` decides.
     """
     at, starts, lengths = equal_readings(column)
-    inner = lengths[1:-1]
-    if inner.size < FEWEST or np.median(inner) < 2:
+    if lengths.size < FEWEST + 2:
         return None
     step = resolution(column) if step is None else step
-    changes = np.abs(np.diff(column[at[starts]]))
-    if step and (found := _on_phase(starts[1:])) is not None:
+    if step and np.median(lengths[1:-1]) >= 2 and (found := _on_phase(starts[1:])) is not None:
         return found
-    return None if step and np.mean(np.rint(changes / step) >= 2) < SEVERAL else of_lengths(inner)
+    values = column[at[starts]]
+    changes = np.abs(np.diff(values))
+    again = repeats(lengths[1:-1], values[1:-1], changes, step or step_of(changes))
+    return of_lengths(lengths[1:-1]) if again else None
+
+
+def repeats(lengths: Array, values: Array, changes: Array, step: float) -> bool:
+    """Whether runs of equal readings (R,) of such values, with such changes between them, are repeats of one reading.
+
+    Without a step of resolution new readings are never equal. With one they are, where hardly any changes by more than a step.
+    Where less than half of the runs have two readings or more, these are of several values, not of the end of a range, and more
+    than new readings of noise about as large as the step would have.
+    """
+    several = not step or bool(np.mean(np.rint(changes / step) >= 2) >= SEVERAL)
+    if np.median(lengths) >= 2:
+        return several
+    again = lengths > 1
+    if not several or np.mean(again) < OFTEN or np.unique(values[again]).size < FEWEST:
+        return False
+    return bool(not step or np.sum(lengths - 1) > 0.5 * BY_STEPS * np.sum(np.rint(changes / step) == 1))
 
 
 def of_lengths(lengths: Array) -> Repeat:

@@ -27,6 +27,20 @@ def test_a_dropout_is_where_half_of_the_readings_due_are_missing() -> None:
     assert dropouts(y) == [[], [], []]
 
 
+@pytest.mark.parametrize("share", [0.2, 0.3, 0.5, 0.7])
+def test_readings_that_miss_at_random_are_a_dropout_where_far_more_of_them_miss(share: float) -> None:
+    rng = np.random.default_rng(2)
+    y = rng.standard_normal((1000, 40))
+    y[rng.random(y.shape) < share] = np.nan
+    y[:, -1] = 0.0
+    found = dropouts(y)
+    assert sum(len(stretches) for stretches in found) == 0
+    y[600:800, :2] = np.nan
+    for i, stretches in enumerate(dropouts(y)):
+        assert len(stretches) == (i < 2)
+        assert all(580 <= a <= 620 and 780 <= b <= 820 for a, b in stretches)
+
+
 def test_a_slow_sensor_and_a_gap_of_the_log_are_no_dropout() -> None:
     y = np.random.default_rng(0).standard_normal((600, 3))
     y[np.arange(600) % 10 != 0, 0] = np.nan  # read every tenth sample

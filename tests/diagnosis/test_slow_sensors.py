@@ -14,6 +14,7 @@ from fusion_sfdia.diagnosis.watch import Sample, Watch
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.regularity import Repeat, repeated
+from fusion_sfdia.study.random_plants import random_plant
 
 Array = NDArray[np.float64]
 
@@ -53,6 +54,28 @@ def test_a_watch_decides_as_diagnose_does(name: str, rows: int, bias: float, tan
     np.testing.assert_array_equal(found, diagnose(name, log, plant=tanks).decisions.isolated)
     assert found[:, ONE].any() == bool(bias)
     assert said == [f"{tanks.sensor_names[ONE]} repeats its value, new every {rows} rows: its repeats are taken as missing"]
+
+
+@pytest.mark.parametrize("name", ["random plant 9407", "two-tanks"])
+@pytest.mark.parametrize("bias", [0.0, 10.0])
+def test_readings_that_a_logger_writes_again_are_no_faults(name: str, bias: float) -> None:
+    plant = random_plant(9407) if name.startswith("random") else registry.plant(name)
+    r = simulate(plant, 2 * HALF, seeds=[3], truth="model", process_noise=True)
+    y, rng = r.y[:, 0].copy(), np.random.default_rng(8)
+    y[HALF:, ONE] += bias * plant.sensor_sigma[ONE]
+    new = rng.random(y.shape) > 0.5
+    y = np.take_along_axis(y, np.maximum.accumulate(np.where(new, np.arange(len(y))[:, None], 0)), axis=0)
+    log = Log(r.t, y, r.u_of_runs[:, 0])
+    sensor = plant.sensor_names[ONE]
+    found = diagnose("robust-glr", log, plant=plant)
+    assert "repeats its value" in found.of_log[0]
+    named = [(e.hypothesis, e.fault) for e in found.events if e.kind == "sensor"]
+    assert named == ([(sensor, "bias")] if bias else [])
+    said: list[str] = []
+    live = isolated(watched(Watch(registry.detector("robust-glr", plant), refused=said.append), log))
+    assert any("in some of the rows" in line for line in said)
+    assert not np.delete(live, ONE, axis=1).any()
+    assert np.mean(live[HALF:, ONE]) > 0.9 if bias else not live.any()
 
 
 def test_a_watch_that_is_saved_goes_on_with_the_same_bits(tanks: Plant, tmp_path: Path) -> None:
@@ -106,6 +129,14 @@ def test_uneven_repeats_are_those_of_a_log(tanks: Plant, seed: int) -> None:
     y = np.repeat(rng.standard_normal(100), rng.integers(6, 11, 100))
     kept = without_repeats(tanks, y)
     np.testing.assert_array_equal(kept, ~repeated(y, Repeat(8, UNDECIDED)))
+
+
+def test_a_reading_that_is_written_again_at_random_is_missing_once_that_is_known(tanks: Plant) -> None:
+    rng = np.random.default_rng(7)
+    new = rng.random(400) > 0.4
+    y = rng.standard_normal(400)[np.maximum.accumulate(np.where(new, np.arange(400), 0))]
+    kept = without_repeats(tanks, y)
+    np.testing.assert_array_equal(kept[50:], new[50:])
 
 
 def test_memory_is_constant(tanks: Plant) -> None:
