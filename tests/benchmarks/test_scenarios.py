@@ -33,8 +33,8 @@ VARIANTS = {
 }  # in rows, but not in `list detectors`: filters, modes
 TIMED = ("network/scale",)  # measures time, which no second run repeats
 LONG = (  # ten seconds or more each
-    "chemical/monitored", "chemical/recorded", "engine/three-faults", "engine/virtual-sensors", "pipeline/accommodation",
-    "pipeline/accuracy", "pipeline/isolation",
+    "chemical/monitored", "chemical/recorded", "engine/minimum-fault", "engine/process", "engine/three-faults",
+    "engine/virtual-sensors", "pipeline/accommodation", "pipeline/accuracy", "pipeline/isolation",
 )  # fmt: skip
 
 pytestmark = pytest.mark.slow
