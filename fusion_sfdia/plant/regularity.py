@@ -17,9 +17,7 @@ Array = NDArray[Any]
 FEWEST = 5  # runs of equal readings, or changes, from which a regularity is known
 SEVERAL = 0.2  # share of changes by two steps of resolution and more, above which equal readings in a row mean a repeat
 OFTEN = 0.125  # share of the runs that have two readings and more, from which on a sensor repeats its value at times
-BY_STEPS = (
-    3.0  # times as many equal readings in a row as half of the changes by one step: new ones of such noise have 1.6 times
-)
+BY_STEPS = 1.5  # times as many pauses as changes by one step: new readings of such noise have 0.8 times as many
 SPREAD = 6.0  # standard deviations of the lengths of runs, within which a run is a repeat
 LONGEST_PHASE = 60  # rows between new readings that are sought in a log with coarse readings
 BY_CHANCE = 1e-4  # probability of a phase without a repeat
@@ -93,25 +91,29 @@ def repeat(column: Array, step: float | None = None) -> Repeat | None:
     if step and np.median(lengths[1:-1]) >= 2 and (found := _on_phase(starts[1:])) is not None:
         return found
     values = column[at[starts]]
-    changes = np.abs(np.diff(values))
+    changes = np.abs(np.diff(values))[1:]
     again = repeats(lengths[1:-1], values[1:-1], changes, step or step_of(changes))
     return of_lengths(lengths[1:-1]) if again else None
 
 
 def repeats(lengths: Array, values: Array, changes: Array, step: float) -> bool:
-    """Whether runs of equal readings (R,) of such values, with such changes between them, are repeats of one reading.
+    """Whether runs of equal readings (R,) of such values, which end with such changes, are repeats of one reading.
 
     Without a step of resolution new readings are never equal. With one they are, where hardly any changes by more than a step.
-    Where less than half of the runs have two readings or more, these are of several values, not of the end of a range, and more
-    than new readings of noise about as large as the step would have.
+    Where less than half of the runs have two readings or more, these are of several values, not of the end of a range; and
+    where there is a step, more readings pause between two changes by several steps than change by one step there.
     """
-    several = not step or bool(np.mean(np.rint(changes / step) >= 2) >= SEVERAL)
-    if np.median(lengths) >= 2:
+    multiple = np.rint(changes / step) if step else changes
+    several = not step or bool(np.mean(multiple >= 2) >= SEVERAL)
+    if not several or np.median(lengths) >= 2:
         return several
     again = lengths > 1
-    if not several or np.mean(again) < OFTEN or np.unique(values[again]).size < FEWEST:
+    if np.mean(again) < OFTEN or np.unique(values[again]).size < FEWEST:
         return False
-    return bool(not step or np.sum(lengths - 1) > 0.5 * BY_STEPS * np.sum(np.rint(changes / step) == 1))
+    large, single = multiple >= 2, lengths == 1
+    pauses = np.sum(large[:-1] & (lengths[1:] == 2) & large[1:])
+    by_one = np.sum(large[:-2] & single[1:-1] & (multiple[1:-1] == 1) & single[2:] & large[2:])
+    return not step or bool(pauses >= BY_STEPS * by_one + FEWEST)
 
 
 def of_lengths(lengths: Array) -> Repeat:
