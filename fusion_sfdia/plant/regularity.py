@@ -23,7 +23,7 @@ LONGEST_PHASE = 60  # rows between new readings that are sought in a log with co
 BY_CHANCE = 1e-4  # probability of a phase without a repeat
 ON_LATTICE, OFF = 0.95, 0.02  # share of changes that are multiples of a step, and by how much of a step they may be off
 SMALLEST = 0.05  # quantile of the changes that is taken as the step, so that a rounding or a fault does not hide it
-DIGITS = 1e-9  # of the largest reading: smaller changes are rounding
+DIGITS = 1e-9  # of the largest reading, or change: smaller changes are rounding
 TURNS = {
     "deg": 360.0, "°": 360.0, "degree": 360.0, "degrees": 360.0, "rad": 2 * np.pi, "gon": 400.0, "grad": 400.0, "turn": 1.0,
     "rev": 1.0, "h": 24.0, "min": 60.0, "s": 60.0,
@@ -75,6 +75,8 @@ def resolution(column: Array) -> float:
 def step_of(changes: Array) -> float:
     """The step whose multiples most of the changes (K,) are, which are positive; 0 for none."""
     step = float(np.quantile(changes, SMALLEST, method="lower"))
+    if step <= DIGITS * np.max(changes):
+        return 0.0
     multiple = np.maximum(np.rint(changes / step), 1.0)
     return float(np.median(changes / multiple)) if np.mean(np.abs(changes / step - multiple) < OFF) >= ON_LATTICE else 0.0
 

@@ -116,7 +116,7 @@ def test_an_older_file_and_one_without_arrays_are_refused(tmp_path: Path) -> Non
     path, detector = tmp_path / "w.state", LeaveOneOutBank(tanks())
     arrays = saved(path, detector, 10)
     write_arrays(path, {n: a for n, a in arrays.items() if n != "watch/version"})
-    with pytest.raises(ValueError, match=r"it is of version 1 of this file, and this package reads version 5\); name another"):
+    with pytest.raises(ValueError, match=r"it is of version 1 of this file, and this package reads version 6\); name another"):
         Watch.load(path, detector)
     save_state(path, detector, detector.init())
     with pytest.raises(ValueError, match="is not the saved state of a watch"):
