@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.learning.monitor.held_out import WITNESS, LearntLimits
 from fusion_sfdia.learning.monitor.judging import Judged
 from fusion_sfdia.learning.monitor.residuals import Test, level_errors, novelty
+from fusion_sfdia.learning.monitor.steps import Stepped, steps
 
 Array = NDArray[Any]
 
@@ -28,6 +29,7 @@ WORSE = 2.0  # times as far off as it disagrees with others of its quantity: a s
 EVIDENCE = 0.6  # difference of squares of two of one quantity, in limits: likelihoods above 100 to 1 where limits are 4 sd
 QUIET = 0.5  # of how far a reading is off, in limits, up to which others that its input drives have not moved with it
 HOLD = 4  # windows of the scale that saw it, for which a process verdict keeps sensors from being named
+LASTS = 1024  # rows after a step, in which a sensor is named by it
 REST = 16  # rows without trouble after which it is over
 
 
@@ -57,7 +59,8 @@ class Trouble(NamedTuple):
 
     until, last: rows until which the process keeps them from it, and since the last row in trouble, negative; process, sensor:
     rows of such verdicts since the trouble began; moved (n,): sensors that have "moved" since. agreed, apart (N,): rows since a
-    sensor disagreed with others of its quantity, and how much more it was off than these since then.
+    sensor disagreed with others of its quantity, and how much more it was off than these since then. stepped: sensors that jumped
+    as the process cannot. begun: the row in which the trouble began.
     """
 
     until: int
@@ -67,11 +70,14 @@ class Trouble(NamedTuple):
     moved: Array
     agreed: Array
     apart: Array
+    stepped: Stepped
+    begun: int
 
     @classmethod
     def none(cls, channels: int, sensors: int) -> Trouble:
         """At the beginning."""
-        return cls(-1, -REST - 1, 0, 0, np.zeros(channels, bool), np.full(sensors, REST + 1), np.zeros(sensors))
+        stepped, agreed = Stepped.none(channels, sensors), np.full(sensors, REST + 1)
+        return cls(-1, -REST - 1, 0, 0, np.zeros(channels, bool), agreed, np.zeros(sensors), stepped, 0)
 
 
 def causes(learnt: LearntLimits, found: Judged, driven: Array, before: Trouble) -> tuple[Causes, Trouble]:
@@ -95,20 +101,24 @@ def causes(learnt: LearntLimits, found: Judged, driven: Array, before: Trouble) 
     same = ratio[compared].max(axis=0, initial=0.0)
     apart, before = _apart(found.apart, same, before)
     proven = np.zeros(named.shape, bool)
+    off, since, after = steps(learnt.jumps, found.jumps, found.stopped, before.stepped)
     if rows.size:
         left, nov = _explain(learnt, found, ratio[:, rows], rows, (kind, named, suspect))
         _by_same(learnt, found, rows, (left, nov), (same[rows], apart[rows]), (kind, named, suspect, proven))
-        _sizes(learnt, found, rows, ratio[:, rows], named | suspect, size)
+        stepped = np.zeros(named.shape, bool)
+        stepped[:, :n] = off != 0
+        _sizes(learnt, found, rows, ratio[:, rows], named | suspect | stepped, size)
         _agreeing(learnt, found, rows, ratio[:, rows], (kind, named, suspect, proven, size))
         _words(learnt, found, rows, (ratio[:, rows], driven), (kind, named, suspect, proven))
-        size[~named[:, :n]] = np.nan
+    before = _by_steps((off, since), by_sensor, before, (kind, named, suspect, proven, size))
+    size[~named[:, :n]] = np.nan
     named[:, :n] |= found.stopped
     kind[found.stopped.any(axis=1) & (kind == OK)] = SENSOR
     kind[found.together] = RECORDER
     named[found.together] = suspect[found.together] = False
     sure = proven
     sure[:, :n] |= found.stopped
-    trouble = _hold((kind, named, suspect), sure, found.stopped, scale, before)
+    trouble = _hold((kind, named, suspect), sure, found.stopped | (off != 0), scale, before)._replace(stepped=after)
     shown = np.maximum(top, np.where(found.stopped.any(axis=1), found.ratio[stops].max(axis=(0, 2)), 0.0))
     shown = np.maximum(shown, np.maximum(found.novel.max(axis=0), found.unlike.max(axis=1)))
     return Causes(kind, named, suspect, size, scale, shown, outside), trouble
@@ -355,6 +365,33 @@ def _words(
             kind[row] = MOVED
 
 
+def _by_steps(
+    steps: tuple[Array, Array], by_sensor: Array, before: Trouble, into: tuple[Array, Array, Array, Array, Array]
+) -> Trouble:
+    """A sensor that stepped as the process cannot is named for `REST` rows, and then while it is off to that side.
+
+    steps: by how much it is off (K, N), set to 0 where it is not named, and since which row.
+    """
+    (off, since), (kind, named, suspect, proven, size) = steps, into
+    n = off.shape[1]
+    begun, last = before.begun, before.last
+    for k in np.flatnonzero((kind != OK) | (off != 0).any(axis=1)).tolist():
+        begun = begun if k - last <= REST else k
+        beyond = by_sensor[k] > 1
+        off[k] = np.where(beyond & ~(off[k] * size[k] > 0), 0.0, off[k])
+        off[k, (since[k] < k - REST) & (~beyond | (since[k] < max(begun - REST, k - LASTS)))] = 0.0
+        which = off[k] != 0
+        if kind[k] in (SENSOR, MOVED, ONE_OF):
+            which &= (named | suspect)[k, :n]
+        if which.any():
+            kind[k], suspect[k], named[k, :n] = SENSOR, False, which
+            proven[k, :n] |= which
+            size[k] = np.where(which & ~np.isfinite(size[k]), off[k], size[k])
+        off[k, ~which] = 0.0
+        last = k if kind[k] != OK else last
+    return before._replace(begun=begun)
+
+
 def _hold(verdicts: tuple[Array, Array, Array], sure: Array, stopped: Array, scale: Array, before: Trouble) -> Trouble:
     """While trouble is mostly the process, no sensor is named but those that stopped; nor is one that has "moved" before.
 
@@ -385,4 +422,6 @@ def _hold(verdicts: tuple[Array, Array, Array], sure: Array, stopped: Array, sca
             sensor += 1
         last = k
     rows = len(kind)
-    return Trouble(until - rows, last - rows, process, sensor, moved, before.agreed, before.apart)
+    return before._replace(
+        until=until - rows, last=last - rows, process=process, sensor=sensor, moved=moved, begun=before.begun - rows
+    )

@@ -43,6 +43,7 @@ from fusion_sfdia.learning.monitor.residuals import (
     tests_of,
 )
 from fusion_sfdia.learning.monitor.stated_physics import Stated
+from fusion_sfdia.learning.monitor.steps import JumpLimits
 from fusion_sfdia.learning.monitor.windows import WindowSums, errors, precision_of
 
 Array = NDArray[Any]
@@ -124,13 +125,15 @@ class LearntLimits:
     """What healthy rows teach: the model and the limits of the tests that raise alarms, and the rows between blocks (B + 1,).
 
     absolute: where the blocks are runs, the tests of the means as they are; those that raise alarms are then about the
-    beginning of each operation, which starts anew after `longest` rows, those of the longest run. stated: physics.
+    beginning of each operation, which starts anew after `longest` rows, those of the longest run. stated: physics. jumps: what
+    is a step of a sensor that has inertia.
     """
 
     model: Model
     limits: Limits
     edges: Array
     stated: Stated
+    jumps: JumpLimits
     absolute: Family | None = None
     longest: int = 0
 
@@ -196,9 +199,10 @@ def learn(
     rows = _Rows(pieces, of, len(edges) - 1, blocks_of_runs is not None, count, stated)
     known = [w for w in SCALES if w <= max(total / KNOWN, 1)]
     tested = [w for w in known if w <= max(total / TESTED, 1)]
+    jumps = _jumps(rows)
     absolute, slow = _view(rows, known), ("level", "change", "same") if stated.groups else ("level", "change")
     if not rows.are_runs:
-        return LearntLimits(*_family(rows, absolute, tests_of(tested, total // TESTED, slow), rate, each), edges, stated)
+        return LearntLimits(*_family(rows, absolute, tests_of(tested, total // TESTED, slow), rate, each), edges, stated, jumps)
     shortest = float(np.median(np.diff(edges)))
     relative = [w for w in tested if w <= LONGEST_RELATIVE and settled(w)[1] <= max(shortest / 2, settled(1)[1])]
     unlike = tuple(t for t in tests_of(tested, 0) if t.kind in ("level", "change"))
@@ -206,7 +210,18 @@ def learn(
     own = _family(rows, _view(rows, relative, relative=True), tests_of(relative, total // TESTED, slow), rate, each)
     explained = np.fmax(own.limits.explained, of_all.limits.explained)
     limits = replace(own.limits, explained=explained, trend=np.zeros(count, bool))
-    return LearntLimits(own.model, limits, edges, stated, of_all, max(lengths))
+    return LearntLimits(own.model, limits, edges, stated, jumps, of_all, max(lengths))
+
+
+def _jumps(rows: _Rows) -> JumpLimits:
+    """What is a step, by upper tolerance limits of the largest jumps of blocks."""
+    jumps = np.concatenate([p.jumps for p in rows.pieces])
+    of_blocks = [jumps[rows.of == b] for b in range(rows.blocks)]
+    most = np.stack([_of_known(np.nanmax, np.abs(one), axis=0) for one in of_blocks])
+    most = np.where(most > 0, most, np.nan)
+    largest = [tolerance(np.delete(most, b, axis=0), SURE, pooled=True) for b in range(rows.blocks)]
+    z = np.concatenate([p.z for p in rows.pieces])
+    return JumpLimits.of(of_blocks, z, np.stack([*largest, tolerance(most, SURE, pooled=True)]), rows.sensors)
 
 
 def _runs(lengths: Sequence[int], logs: Sequence[int]) -> list[int] | None:

@@ -42,7 +42,8 @@ class Judged(NamedTuple):
     each scale over its limit. unlike (K, N): how far a sensor is from the learnt runs, or one that drifted when it was learnt
     from its level, over the limit. stopped (K, N): sensors that repeat their reading or have none for too long; they are left
     out of all other tests. together (K,): whether sensors stopped at once. apart (K, N): how much more a sensor is off than
-    others of its quantity, see `_apart`. disagree: by how much it disagrees with these, (K, N) of each scale.
+    others of its quantity, see `_apart`. disagree: by how much it disagrees with these, (K, N) of each scale. jumps (K, n): from
+    the reading before.
     """
 
     tests: tuple[Test, ...]
@@ -55,6 +56,7 @@ class Judged(NamedTuple):
     together: Array
     apart: Array
     disagree: dict[int, Array]
+    jumps: Array
 
     @property
     def outside(self) -> Array:
@@ -188,7 +190,7 @@ def judged(learnt: LearntLimits, rows: ScaledRows, before: Before | None = None)
     ratio[np.ix_(levels, np.arange(len(z)), drifted)] = 0.0
     apart = _apart(learnt, tested, means, limits)
     left = Before(known.last(reach(learnt)), len(every_z) - starts[-1])
-    return Judged(tests, means, every, ratio, novel, unlike, stopped, together, apart, disagree), left
+    return Judged(tests, means, every, ratio, novel, unlike, stopped, together, apart, disagree, rows.jumps), left
 
 
 def _as_tested(learnt: LearntLimits, every: dict[int, Means], starts: Sequence[int], scales: Sequence[int]) -> dict[int, Means]:

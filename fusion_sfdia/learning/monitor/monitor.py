@@ -45,7 +45,7 @@ LEAST = 64  # healthy rows
 AT_ONCE = 4096  # rows: of more, a log is judged in parts
 CHANGED = 1.25  # factor of a limit that is worth a line
 FEWEST, CLOSEST = 20, 0.1  # rows of a log from which on its step is judged, by this quantile of their distances
-VERSION = 3
+VERSION = 4
 NAME, BASIS = "the monitor", "judged by healthy logs, without a model"
 
 

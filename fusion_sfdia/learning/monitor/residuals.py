@@ -103,16 +103,19 @@ Model = tuple[Scale, ...]
 
 
 class ScaledRows(NamedTuple):
-    """Scaled readings of a piece, z (K, n), with what needs no model: repeats, missing (K, N) in rows, spikes (K, N)."""
+    """Scaled readings of a piece, z (K, n), with what needs no model: repeats, missing (K, N) in rows, spikes (K, N), and jumps
+    (K, n), NaN where there is no reading in the `SPIKE` rows before.
+    """
 
     z: Array
     repeats: Array
     missing: Array
     spikes: Array
+    jumps: Array
 
 
 class Ahead(NamedTuple):
-    """What of the rows ahead of a piece belongs to its rows: what was read, the last three scaled readings (3, N), and the last
+    """What of the rows ahead of a piece belongs to its rows: what was read, the last three scaled readings (3, n), and the last
     readings of all columns (`BEFORE` + 2, n).
     """
 
@@ -124,7 +127,7 @@ class Ahead(NamedTuple):
     def none(cls, channels: Channels) -> Ahead:
         """At the beginning."""
         columns = channels.hold.size
-        return cls(Read.none(columns), np.full((SPIKE, channels.count), np.nan), np.full((BEFORE + 2, columns), np.nan))
+        return cls(Read.none(columns), np.full((SPIKE, len(channels.used)), np.nan), np.full((BEFORE + 2, columns), np.nan))
 
 
 def rows_of(channels: Channels, v: Array, ahead: Ahead | None = None) -> tuple[ScaledRows, Ahead]:
@@ -132,12 +135,21 @@ def rows_of(channels: Channels, v: Array, ahead: Ahead | None = None) -> tuple[S
     ahead, n = ahead or Ahead.none(channels), channels.count
     own, every = channels.used[:n], read(v, ahead.read)
     z = channels.scaled(every.held(channels.hold))
-    with_last = np.concatenate([ahead.z, z[:, :n]])
+    with_last = np.concatenate([ahead.z, z])
     all_v = np.concatenate([ahead.v, v])
     if np.isfinite(channels.far).any():
         z = np.where(firsts(all_v, channels.far)[BEFORE + 2 :, channels.used], np.nan, z)
-    rows = ScaledRows(z, every.equal[:, own], every.age[:, own], spikes(with_last)[SPIKE:])
+    jumps = jumps_of(with_last)[SPIKE:]
+    rows = ScaledRows(z, every.equal[:, own], every.age[:, own], spikes(with_last[:, :n])[SPIKE:], jumps)
     return rows, Ahead(Read(*(a[-1] for a in every)), with_last[-SPIKE:], all_v[-BEFORE - 2 :])
+
+
+def jumps_of(z: Array) -> Array:
+    """Each row of z (K, n) less the last reading in the `SPIKE` rows before."""
+    last = earlier(z, 1, np.nan)
+    for k in range(2, SPIKE + 1):
+        last = np.where(np.isfinite(last), last, earlier(z, k, np.nan))
+    return np.asarray(z - last)
 
 
 def spikes(z: Array) -> Array:

@@ -10,6 +10,7 @@ from fusion_sfdia.learning.monitor.channels import Channels
 from fusion_sfdia.learning.monitor.held_out import Family, LearntLimits, Limits
 from fusion_sfdia.learning.monitor.residuals import Scale, Test
 from fusion_sfdia.learning.monitor.stated_physics import Stated
+from fusion_sfdia.learning.monitor.steps import JumpLimits
 from fusion_sfdia.plant.signals import Signal
 
 Arrays = dict[str, NDArray[Any]]
@@ -23,6 +24,7 @@ def packed(channels: Channels, learnt: LearntLimits) -> tuple[Arrays, dict[str, 
     """Arrays by name, and the rest."""
     arrays: Arrays = {name: getattr(channels, name) for name in OF_CHANNELS} | {"edges": learnt.edges}
     arrays |= {f"stated {name}": value for name, value in learnt.stated._asdict().items()}
+    arrays |= {f"jumps {name}": value for name, value in learnt.jumps._asdict().items()}
     families = {"own": Family(learnt.model, learnt.limits)} | ({"absolute": learnt.absolute} if learnt.absolute else {})
     return arrays, {
         "sensors": [[s.name, s.unit] for s in channels.sensors],
@@ -42,8 +44,9 @@ def unpacked(arrays: Arrays, about: dict[str, Any]) -> tuple[Channels, LearntLim
     families = {name: _unpacked(name, given, arrays) for name, given in about["families"].items()}
     own = families["own"]
     stated = Stated(*(arrays[f"stated {name}"] for name in Stated._fields))
+    jumps = JumpLimits(*(arrays[f"jumps {name}"] for name in JumpLimits._fields))
     return channels, LearntLimits(
-        own.model, own.limits, arrays["edges"], stated, families.get("absolute"), int(about["longest"])
+        own.model, own.limits, arrays["edges"], stated, jumps, families.get("absolute"), int(about["longest"])
     )
 
 
