@@ -29,7 +29,7 @@ WORSE = 2.0  # times as far off as it disagrees with others of its quantity: a s
 EVIDENCE = 0.6  # difference of squares of two of one quantity, in limits: likelihoods above 100 to 1 where limits are 4 sd
 QUIET = 0.5  # of how far a reading is off, in limits, up to which others that its input drives have not moved with it
 HOLD = 4  # windows of the scale that saw it, for which a process verdict keeps sensors from being named
-LASTS = 1024  # rows after a step, in which a sensor is named by it
+LASTS = 1024  # rows after a step in which it decides: the longest window
 REST = 16  # rows without trouble after which it is over
 
 
@@ -38,6 +38,7 @@ class Causes(NamedTuple):
 
     size (K, N): by how much a named sensor is off, in standard deviations. scale (K,): rows of the window that shows it most.
     ratio (K,): how far the largest statistic is beyond its limit. outside (K,): whether operation is outside what was learnt.
+    stepped (K, N): where a step names a sensor, by how many of the largest healthy jumps it is off.
     """
 
     kind: Array
@@ -47,6 +48,7 @@ class Causes(NamedTuple):
     scale: Array
     ratio: Array
     outside: Array
+    stepped: Array
 
     @property
     def alarm(self) -> Array:
@@ -59,8 +61,8 @@ class Trouble(NamedTuple):
 
     until, last: rows until which the process keeps them from it, and since the last row in trouble, negative; process, sensor:
     rows of such verdicts since the trouble began; moved (n,): sensors that have "moved" since. agreed, apart (N,): rows since a
-    sensor disagreed with others of its quantity, and how much more it was off than these since then. stepped: sensors that jumped
-    as the process cannot. begun: the row in which the trouble began.
+    sensor disagreed with others of its quantity, and how much more it was off than these since then. stepped: what has jumped.
+    begun: the row in which the trouble began.
     """
 
     until: int
@@ -110,18 +112,19 @@ def causes(learnt: LearntLimits, found: Judged, driven: Array, before: Trouble) 
         _sizes(learnt, found, rows, ratio[:, rows], named | suspect | stepped, size)
         _agreeing(learnt, found, rows, ratio[:, rows], (kind, named, suspect, proven, size))
         _words(learnt, found, rows, (ratio[:, rows], driven), (kind, named, suspect, proven))
-    before = _by_steps((off, since), by_sensor, before, (kind, named, suspect, proven, size))
-    size[~named[:, :n]] = np.nan
     named[:, :n] |= found.stopped
     kind[found.stopped.any(axis=1) & (kind == OK)] = SENSOR
     kind[found.together] = RECORDER
     named[found.together] = suspect[found.together] = False
+    before = _by_steps((off, since), by_sensor, before, (kind, named, suspect, proven, size))
+    size[~named[:, :n] | found.stopped] = np.nan
     sure = proven
     sure[:, :n] |= found.stopped
     trouble = _hold((kind, named, suspect), sure, found.stopped | (off != 0), scale, before)._replace(stepped=after)
     shown = np.maximum(top, np.where(found.stopped.any(axis=1), found.ratio[stops].max(axis=(0, 2)), 0.0))
     shown = np.maximum(shown, np.maximum(found.novel.max(axis=0), found.unlike.max(axis=1)))
-    return Causes(kind, named, suspect, size, scale, shown, outside), trouble
+    stepped = np.abs(off) / learnt.jumps.jump[:n]
+    return Causes(kind, named, suspect, size, scale, np.maximum(shown, stepped.max(axis=1)), outside, stepped), trouble
 
 
 def _apart(apart: Array, same: Array, before: Trouble) -> tuple[Array, Trouble]:
@@ -380,12 +383,14 @@ def _by_steps(
         beyond = by_sensor[k] > 1
         off[k] = np.where(beyond & ~(off[k] * size[k] > 0), 0.0, off[k])
         off[k, (since[k] < k - REST) & (~beyond | (since[k] < max(begun - REST, k - LASTS)))] = 0.0
-        which = off[k] != 0
+        which = (off[k] != 0) & (kind[k] != RECORDER)
         if kind[k] in (SENSOR, MOVED, ONE_OF):
             which &= (named | suspect)[k, :n]
         if which.any():
-            kind[k], suspect[k], named[k, :n] = SENSOR, False, which
-            proven[k, :n] |= which
+            suspect[k] &= kind[k] == SENSOR
+            suspect[k, :n] &= ~which
+            named[k, :n] |= which
+            kind[k], proven[k, :n] = SENSOR, proven[k, :n] | which
             size[k] = np.where(which & ~np.isfinite(size[k]), off[k], size[k])
         off[k, ~which] = 0.0
         last = k if kind[k] != OK else last

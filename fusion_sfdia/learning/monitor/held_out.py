@@ -65,6 +65,7 @@ WITNESSED = (16, 64)  # rows: windows over which it is judged whether others exp
 WITNESS = 0.5  # least share of its slow motion that they explain then
 MOSTLY_NOISE = 0.8  # share of the variance of a window's mean beyond which noise is not taken off
 STEADY, MOVES = 1.2, 0.75  # ratio of steps to variance of the blocks' means, and their size over the deviation within: a trend
+RANGE = (0.005, 0.995)  # quantiles of the readings of a piece, between which they range without a gap
 JOINED = 16  # rows: alarms that are fewer apart are one
 WILD = 3.0  # times the median over blocks: a block that widens a limit is reported
 
@@ -220,8 +221,10 @@ def _jumps(rows: _Rows) -> JumpLimits:
     most = np.stack([_of_known(np.nanmax, np.abs(one), axis=0) for one in of_blocks])
     most = np.where(most > 0, most, np.nan)
     largest = [tolerance(np.delete(most, b, axis=0), SURE, pooled=True) for b in range(rows.blocks)]
-    z = np.concatenate([p.z for p in rows.pieces])
-    return JumpLimits.of(of_blocks, z, np.stack([*largest, tolerance(most, SURE, pooled=True)]), rows.sensors)
+    ranges = [np.diff(_of_known(np.nanquantile, p.z[:, : rows.sensors], RANGE, axis=0), axis=0)[0] for p in rows.pieces]
+    return JumpLimits.of(
+        of_blocks, _of_known(np.nanmax, np.stack(ranges), axis=0), np.stack([*largest, tolerance(most, SURE, pooled=True)])
+    )
 
 
 def _runs(lengths: Sequence[int], logs: Sequence[int]) -> list[int] | None:

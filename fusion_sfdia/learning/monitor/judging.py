@@ -42,8 +42,8 @@ class Judged(NamedTuple):
     each scale over its limit. unlike (K, N): how far a sensor is from the learnt runs, or one that drifted when it was learnt
     from its level, over the limit. stopped (K, N): sensors that repeat their reading or have none for too long; they are left
     out of all other tests. together (K,): whether sensors stopped at once. apart (K, N): how much more a sensor is off than
-    others of its quantity, see `_apart`. disagree: by how much it disagrees with these, (K, N) of each scale. jumps (K, n): from
-    the reading before.
+    others of its quantity, see `_apart`. disagree: by how much it disagrees with these, (K, N) of each scale. jumps (K, n): of
+    readings.
     """
 
     tests: tuple[Test, ...]

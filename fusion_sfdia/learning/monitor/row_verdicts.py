@@ -101,7 +101,7 @@ def verdicts_of(channels: Channels, t: Array, v: Array, found: Judged, by: Cause
 
     noisy = over("noise", "spike") & ~over("level", "change", "same")
     how = np.where(over("repeats"), FREEZE, np.where(over("missing"), DROPOUT, np.where(noisy, NOISY, 0))).astype(np.int8)
-    return Verdicts(t, v, by, found.ratio.max(axis=0), sizes, how)
+    return Verdicts(t, v, by, np.maximum(found.ratio.max(axis=0), by.stepped), sizes, how)
 
 
 def joined_verdicts(parts: Sequence[Verdicts]) -> Verdicts:

@@ -17,30 +17,29 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-INERT = 8.0  # least range of healthy readings, in largest healthy jumps
+INERT = 5.0  # least range of healthy readings, in largest healthy jumps
 STEEP = 4.0  # of the largest healthy jump, from which on a jump is a step: T above 0.7 rows
-RANGE = (0.005, 0.995)  # quantiles of healthy readings
 BRIEF = 16  # rows
 AROUND = 2  # rows before a row that decide whether it confirms a step
 
 
 class JumpLimits(NamedTuple):
-    """jump (n,): of each channel the largest healthy jump in a block; step (N,): of each sensor the least step, inf where it has
-    no inertia.
+    """jump (n,): of each channel the largest healthy jump in a block; step (N,): of each sensor the least step, inf where it
+    has no inertia.
     """
 
     jump: Array
     step: Array
 
     @classmethod
-    def of(cls, jumps: Sequence[Array], z: Array, largest: Array, sensors: int) -> JumpLimits:
-        """Learnt from the jumps (K, n) of healthy blocks, their readings z (K, n), and the largest jumps to expect (B + 1, n):
-        in each block by the others, and by all.
+    def of(cls, jumps: Sequence[Array], ranges: Array, largest: Array) -> JumpLimits:
+        """Learnt from the jumps (K, n) of healthy blocks, the ranges of the readings of sensors (N,), and the largest jumps to
+        expect (B + 1, n): in each block by the others, and by all.
 
         A sensor that steps in a healthy block, by the limits of the other blocks, has none.
         """
-        low, high = np.nanquantile(z[:, :sensors], RANGE, axis=0)
-        inert = high - low >= INERT * largest[-1, :sensors]
+        sensors = ranges.size
+        inert = ranges >= INERT * largest[-1, :sensors]
         for of_block, jump in zip(jumps, largest, strict=False):
             by_others = cls(jump, np.where(inert, STEEP * jump[:sensors], np.inf))
             none = np.zeros((len(of_block), sensors), bool)
@@ -49,8 +48,9 @@ class JumpLimits(NamedTuple):
 
 
 class Stepped(NamedTuple):
-    """What the rows before leave: their jumps (AROUND, n); of each sensor (N,) whether it had stopped, by how much jumps have put
-    it off, 0 where they have not, the row of the first of them, counted to the next row, negative, and whether it was a step.
+    """What the rows before leave: their jumps (AROUND, n); of each sensor (N,) whether it had stopped, by how much jumps have
+    put it off, 0 where they have not, the row of the first of them, counted to the next row, negative, and whether it was a
+    step.
     """
 
     jumps: Array
