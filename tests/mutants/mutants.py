@@ -134,6 +134,20 @@ MUTANTS = (
         quick=False,
     ),
     Mutant(
+        "fusion_sfdia/learning/monitor/steps.py",
+        "(far[2:, :n] & (own[2:] * own[1:-1] > 0))",
+        "(far[2:, :n] & (own[2:] * own[1:-1] < 0))",
+        "tests/learning/monitor/test_learning_steps.py::test_a_process_with_a_lag_of_a_row_or_more_makes_no_step",
+        quick=False,
+    ),
+    Mutant(
+        "fusion_sfdia/learning/monitor/steps.py",
+        "since >= k - BRIEF",
+        "since >= k - 10 * BRIEF",
+        "tests/learning/monitor/test_learning_steps.py::test_several_that_jump_together_are_named_only_once_they_went_back_soon",
+        quick=False,
+    ),
+    Mutant(
         "fusion_sfdia/learning/monitor/compared_units.py",
         "student.isf(CHANCE / (2 * of_units.size), len(z) - 2)",
         "student.isf(CHANCE / 2, len(z) - 2)",

@@ -62,7 +62,7 @@ class Trouble(NamedTuple):
     until, last: rows until which the process keeps them from it, and since the last row in trouble, negative; process, sensor:
     rows of such verdicts since the trouble began; moved (n,): sensors that have "moved" since. agreed, apart (N,): rows since a
     sensor disagreed with others of its quantity, and how much more it was off than these since then. stepped: what has jumped.
-    begun: the row in which the trouble began.
+    begun: the row in which the trouble began. shown (N,): the row in which a step last named a sensor.
     """
 
     until: int
@@ -74,12 +74,13 @@ class Trouble(NamedTuple):
     apart: Array
     stepped: Stepped
     begun: int
+    shown: Array
 
     @classmethod
     def none(cls, channels: int, sensors: int) -> Trouble:
         """At the beginning."""
-        stepped, agreed = Stepped.none(channels, sensors), np.full(sensors, REST + 1)
-        return cls(-1, -REST - 1, 0, 0, np.zeros(channels, bool), agreed, np.zeros(sensors), stepped, 0)
+        stepped, agreed, no = Stepped.none(channels, sensors), np.full(sensors, REST + 1), np.zeros(channels, bool)
+        return cls(-1, -REST - 1, 0, 0, no, agreed, np.zeros(sensors), stepped, 0, np.full(sensors, -REST - 1))
 
 
 def causes(learnt: LearntLimits, found: Judged, driven: Array, before: Trouble) -> tuple[Causes, Trouble]:
@@ -116,7 +117,7 @@ def causes(learnt: LearntLimits, found: Judged, driven: Array, before: Trouble) 
     kind[found.stopped.any(axis=1) & (kind == OK)] = SENSOR
     kind[found.together] = RECORDER
     named[found.together] = suspect[found.together] = False
-    before = _by_steps((off, since), by_sensor, before, (kind, named, suspect, proven, size))
+    before = _by_steps((off, since), (by_sensor, found.stopped), before, (kind, named, suspect, proven, size))
     size[~named[:, :n] | found.stopped] = np.nan
     sure = proven
     sure[:, :n] |= found.stopped
@@ -369,15 +370,17 @@ def _words(
 
 
 def _by_steps(
-    steps: tuple[Array, Array], by_sensor: Array, before: Trouble, into: tuple[Array, Array, Array, Array, Array]
+    steps: tuple[Array, Array], of_rows: tuple[Array, Array], before: Trouble, into: tuple[Array, Array, Array, Array, Array]
 ) -> Trouble:
-    """A sensor that stepped as the process cannot is named for `REST` rows, and then while it is off to that side.
+    """A sensor that stepped as the process cannot is named for `REST` rows, and then while it is off to that side. For `REST`
+    rows after it came back windows hold what was: where it is named or suspected then, it is named.
 
-    steps: by how much it is off (K, N), set to 0 where it is not named, and since which row.
+    steps: by how much it is off (K, N), set to 0 where it is not named, and since which row. of_rows (K, N): the largest
+    ratio of sensors, and those that stopped.
     """
-    (off, since), (kind, named, suspect, proven, size) = steps, into
+    (off, since), (by_sensor, stopped), (kind, named, suspect, proven, size) = steps, of_rows, into
     n = off.shape[1]
-    begun, last = before.begun, before.last
+    begun, last, shown = before.begun, before.last, before.shown
     for k in np.flatnonzero((kind != OK) | (off != 0).any(axis=1)).tolist():
         begun = begun if k - last <= REST else k
         beyond = by_sensor[k] > 1
@@ -386,15 +389,18 @@ def _by_steps(
         which = (off[k] != 0) & (kind[k] != RECORDER)
         if kind[k] in (SENSOR, MOVED, ONE_OF):
             which &= (named | suspect)[k, :n]
-        if which.any():
-            suspect[k] &= kind[k] == SENSOR
-            suspect[k, :n] &= ~which
-            named[k, :n] |= which
-            kind[k], proven[k, :n] = SENSOR, proven[k, :n] | which
-            size[k] = np.where(which & ~np.isfinite(size[k]), off[k], size[k])
         off[k, ~which] = 0.0
+        after = (named | suspect)[k, :n] & ~stopped[k] & (shown >= k - REST) & ~which
+        shown = np.where(which, k, shown)
+        if (which | after).any():
+            suspect[k] &= kind[k] == SENSOR
+            suspect[k, :n] &= ~(which | after)
+            named[k, :n] |= which | after
+            kind[k], proven[k, :n] = SENSOR, proven[k, :n] | which | after
+            size[k, after] = np.nan
+            size[k] = np.where(which & (~np.isfinite(size[k]) | (since[k] >= k - REST)), off[k], size[k])
         last = k if kind[k] != OK else last
-    return before._replace(begun=begun)
+    return before._replace(begun=begun, shown=shown)
 
 
 def _hold(verdicts: tuple[Array, Array, Array], sure: Array, stopped: Array, scale: Array, before: Trouble) -> Trouble:
@@ -428,5 +434,11 @@ def _hold(verdicts: tuple[Array, Array, Array], sure: Array, stopped: Array, sca
         last = k
     rows = len(kind)
     return before._replace(
-        until=until - rows, last=last - rows, process=process, sensor=sensor, moved=moved, begun=before.begun - rows
+        until=until - rows,
+        last=last - rows,
+        process=process,
+        sensor=sensor,
+        moved=moved,
+        begun=before.begun - rows,
+        shown=before.shown - rows,
     )
