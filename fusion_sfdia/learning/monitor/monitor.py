@@ -487,6 +487,7 @@ class Monitor:
         ]
         units = {s.name: s.unit for s in self.channels.sensors}
         alone = (self.learnt.limits.explained < WITNESS) & (self.learnt.stated.group < 0)
+        steps = np.isfinite(self.learnt.jumps.step)
         for i, (name, sizes) in enumerate(self.smallest().items()):
             if sizes:
                 w = min(sizes, key=lambda k: sizes[k])
@@ -494,6 +495,7 @@ class Monitor:
                 lines.append(
                     f"{name}: a lasting bias of {size} is found within {lasting(w * self.dt)}"
                     + ("; no other channel measures it, so sensor and process cannot be told apart" if alone[i] else "")
+                    + (" unless it steps in one row" if alone[i] and steps[i] else "")
                 )
         return "\n".join(lines)
 

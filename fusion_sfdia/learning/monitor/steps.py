@@ -4,7 +4,8 @@ The jump of a reading is its distance from the one before. A sensor has inertia 
 `INERT` times the largest jump that a healthy block is expected to hold. A step of such a sensor is a jump `STEEP` times as
 large, after and before which it does not go on to the same side, and with which no other channel jumps beyond its own healthy
 jumps, one row earlier or later. By a change of the process a reading with a lag of first order, exp(-1 / T) from row to row,
-would go on after a jump by that share of it: a step is one of the sensor where T is above 1 / log(STEEP) rows.
+would go on after a jump by that share of it: a step is one of the sensor where T is above 1 / log(STEEP) rows. Healthy logs
+do not show T: where what drives a reading moved slowly in them, and T is shorter, a change of the process is taken for a step.
 """
 
 from __future__ import annotations

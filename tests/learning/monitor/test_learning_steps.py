@@ -115,6 +115,7 @@ def judged(monitor: Monitor, y: Array) -> Causes:
 
 def test_a_step_names_a_sensor_that_nothing_else_measures_and_a_process_does_not(monitor: Monitor) -> None:
     assert np.isfinite(monitor.learnt.jumps.step).tolist() == [True, False, False]
+    assert str(monitor).count("unless it steps in one row") == 1
     y = slow(2)
     y[600:700, 0] += 3.0
     by = judged(monitor, y)
