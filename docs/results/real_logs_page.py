@@ -25,9 +25,9 @@ labelled, and on simulated plants, beside the usual ways to watch readings witho
 FOLDER` measures, with the recordings in FOLDER. Settings are fixed from the healthy logs alone, and unfavourable results
 stay. After a first look `dynamic-pca` was added, `pca` got the noise as its unit, ten instead of three logs of the simulated
 plants count false alarms, longer ones are learnt as well, alarms that name only sensors without a reading count no longer,
-and "named right" asks that no sensor without a label is named; `Monitor` was not touched then. The recordings are no fresh judges
-of it, though: its rules were made with them in view, one of them on d05 (`causes.SMALL`),
-one on the Logan river (`steps.INERT`).
+and "named right" asks that no sensor without a label is named; `Monitor` was not touched then. The recordings are no fresh
+judges of it, though: its rules were made with them in view, one of them on d05 (`causes.SMALL`), one on the Logan river
+(`steps.INERT`).
 
 ## What follows
 
