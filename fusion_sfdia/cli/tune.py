@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from fusion_sfdia.cli.options import (
     add_columns,
     add_detector,
+    add_names,
     add_plant,
     columns,
     loaded,
@@ -45,6 +46,10 @@ def add_tune(commands: Any) -> None:
     one.add_argument("--false-alarm", default="1/day", metavar="RATE", help="stated rate of false alarms (default: 1/day)")
     add_detector(one, COMMISSIONED)
     add_columns(one)
+    add_names(
+        one, "--further", "columns of which the model predicts nothing, to be learnt by a monitor beside it; all: every other "
+        "column of numbers",
+    )  # fmt: skip
     one.add_argument("--out", type=Path, default=Path("tuned.toml"), metavar="TUNED.toml", help="(default: tuned.toml)")
     one.add_argument("--strict", action="store_true", help="refuse a log with readings that are not healthy")
     one.add_argument("--force", action="store_true", help="replace a file that is there")
@@ -127,6 +132,8 @@ def _tune(chosen: argparse.Namespace) -> int:
 
 def _tuned(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.detectors.registry import find_detector, plant
+    from fusion_sfdia.learning.model_and_monitor import with_further
+    from fusion_sfdia.learning.monitor.unmodelled_logs import further_signals
     from fusion_sfdia.learning.tuning.tune import HealthySource, tune
     from fusion_sfdia.learning.tuning.words import as_text
     from fusion_sfdia.report.progress import progress, working
@@ -134,7 +141,9 @@ def _tuned(chosen: argparse.Namespace) -> int:
     if chosen.out.is_dir() or (chosen.out.is_file() and not chosen.force):
         raise ValueError(f"{chosen.out} exists; name another file with --out, or replace it with --force")
     model = plant(chosen.plant)
-    logs = [loaded(chosen, path, model) for path in chosen.healthy]
+    further = further_signals(chosen.healthy[0], model, chosen.further, chosen.map) if chosen.further else ()
+    whole = with_further(model, further)
+    logs = [loaded(chosen, path, whole) for path in chosen.healthy]
     for path, one in zip(chosen.healthy, logs, strict=True):
         warn_of(path, one.brief)
     count = sum(len(one.log.t) for one in logs)
@@ -144,6 +153,7 @@ def _tuned(chosen: argparse.Namespace) -> int:
         tuned = tune(
             model,
             *(one.log for one in logs),
+            further=further,
             false_alarm=chosen.false_alarm,
             detector=detector,
             each=progress,

@@ -64,6 +64,11 @@ class Hindsight(NamedTuple):
         """What is needed of it once the model has been judged."""
         return Residuals(self.error, self.sd)
 
+    def with_unknown(self, n: int) -> Hindsight:
+        """The same of n sensors, nothing being known of those behind."""
+        nan = np.full((*self.error.shape[:-1], n - self.error.shape[-1]), np.nan)
+        return self._replace(**{k: np.concatenate([getattr(self, k), nan], axis=-1) for k in ("error", "sd", "normal")})
+
 
 def unknown(count: int, n: int) -> Hindsight:
     """Of `count` samples of n sensors nothing is known."""
@@ -306,9 +311,12 @@ def hindsight(model: Plant, track: Track, out: Array, each: Callable[[Sequence[i
     filter has no finite value any more, everything after is NaN.
 
     A long log is cut into parts, which are filtered side by side as a batch, where the model is the same at all times: see
-    `beginning`. One of a large linear plant is filtered with gains at rest.
+    `beginning`. One of a large linear plant is filtered with gains at rest. Of sensors that the plant does not have, behind
+    its own, nothing is known.
     """
     count, n = out.shape
+    if n > (own := len(model.sensors)):
+        return hindsight(model, track._replace(y=track.y[:, :own]), out[:, :own], each).with_unknown(n)
     found, start, steps, run = unknown(count, n), begun(model), Steps(track, out), OneRun(model)
     with np.errstate(all="ignore"):
         first, core = beginning(model, steps, found, each)
@@ -332,7 +340,9 @@ def looked(
     """One step of `hindsight` over `times` with readings y (N,), of which those to `use` (N,), and inputs u (m,): the filter
     after it, None where it has no finite value, and of this sample what is known.
     """
-    (before, now), (y, u) = times, values
+    (before, now), (y, u), own = times, values, len(model.sensors)
     with np.errstate(all="ignore"):
-        seen = seen_at(model, core, before, now, now - before, y, u, use)
-    return (seen.core, seen.row) if seen.sound else (None, Hindsight(*(v[0] for v in unknown(1, len(y)))))
+        seen = seen_at(model, core, before, now, now - before, y[:own], u, use[:own])
+    if not seen.sound:
+        return None, Hindsight(*(v[0] for v in unknown(1, len(y))))
+    return seen.core, seen.row if len(y) == own else seen.row.with_unknown(len(y))

@@ -163,7 +163,7 @@ def health_of(plant: Plant, after: Hindsight, starts: Array, false_alarm: float,
     sensor states counts in both. NIS needs so many
     readings M that SURE sqrt(2 / M) is below limit - 1.
     """
-    names, slow = plant.sensor_names, plant.slow_noise
+    names, slow = plant.sensor_names[: plant.modelled], plant.slow_noise
     usual = inflation_of(np.inf, *slow)
     settled = np.ones(len(after.nis), bool)
     for k in starts:

@@ -200,7 +200,8 @@ class SecondLook:
 
     def _silent_or_frozen(self) -> set[str]:
         """The sensors of which half of the last DUE readings are missing, or the last REPEATED are equal."""
-        last = np.array([s.y for s in islice(reversed(self.window), DUE)])
+        known = self.detector.plant.modelled
+        last = np.array([s.y[:known] for s in islice(reversed(self.window), DUE)])
         if len(last) < DUE:
             return set()
         silent = np.sum(np.isnan(last), axis=0) >= DUE // 2

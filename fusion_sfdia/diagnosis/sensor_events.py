@@ -45,7 +45,8 @@ def explained(
     frozen: Sequence[Sequence[tuple[int, int]]],
 ) -> tuple[Event, ...]:
     """Return the events with those of sensors explained, and with those of sensors that are silent or `frozen` (of each
-    sensor first and last sample); the others first, then sensors and other faults in order of their start.
+    sensor first and last sample), unless the model does not know them: when these are, the detector says. The others first,
+    then sensors and other faults in order of their start.
     """
     sensors = detector.plant.sensors
     found = [_accepted(detector, t, decisions, e) for e in events if e.kind not in ("sensor", "other")]
@@ -74,7 +75,7 @@ def explained(
                     confidence = min(confidence, EVEN)
                 mine.append(replace(_with(e, of_it, noise.sigma), confidence=confidence, alternatives=rivals))
         for kind, stretches in (("freeze", frozen[i]), ("dropout", silent[i])):
-            for a, b in stretches:
+            for a, b in stretches if i < detector.plant.modelled else ():
                 mine = with_stretch(mine, kind, t, a, b, sensor.name, sensor.unit)
         with np.errstate(invalid="ignore"):
             z = after.error[:, i] / after.sd[:, i]
@@ -98,7 +99,7 @@ def _with(e: Event, named: Named, sigma: float) -> Event:
     if named.kind == "dropout":
         return replace(e, fault="dropout", size=np.nan)
     if not np.isfinite(named.size):
-        return replace(e, fault=named.kind, sigmas=e.size / float(sigma))
+        return replace(e, fault=named.kind or e.fault, sigmas=e.size / float(sigma))
     return replace(
         e,
         fault=named.kind,

@@ -83,7 +83,7 @@ class Regularities:
 
 def regularities(plant: Plant, log: Log) -> Regularities:
     """Find the sensors of a log of one run, y (K, N), that repeat their value, are coarse, or jump by a period that the plant
-    does not state.
+    does not state, of those that read a variable of the model.
     """
     known = () if plant.cyclic_sensors is None else plant.cyclic_sensors.at.tolist()
     step = float(np.median(np.diff(log.t))) if log.t.size > 1 else plant.dt
@@ -91,7 +91,7 @@ def regularities(plant: Plant, log: Log) -> Regularities:
     coarse: dict[int, tuple[float, float]] = {}
     periods: dict[int, float] = {}
     taken: dict[int, int] = {}
-    for i, (sensor, column) in enumerate(zip(plant.sensors, log.y.T, strict=False)):
+    for i, (sensor, column) in enumerate(zip(plant.sensors[: plant.modelled], log.y.T, strict=False)):
         _, _, lengths = equal_readings(column)
         q = resolution(column) if lengths.size < np.sum(lengths) else 0.0  # only where readings are repeated
         if (one := repeat(column, q)) is not None:

@@ -299,6 +299,11 @@ class Plant:
         return tuple(s.name for s in self.sensors)
 
     @cached_property
+    def modelled(self) -> int:
+        """How many sensors, the first ones, read a variable of the model; of others, which measure "", it predicts nothing."""
+        return sum(s.measures != "" for s in self.sensors)
+
+    @cached_property
     def sensor_sigma(self) -> Array:
         """Standard deviation of each reading (N,), in the sensors' units."""
         return np.array([s.noise_sigma for s in self.sensors])

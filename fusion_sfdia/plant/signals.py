@@ -89,7 +89,7 @@ class Sensor:
     name : str
         Of the sensor.
     measures : str
-        The name of the variable.
+        The name of the variable; "" of a channel of which the model predicts nothing, which stands behind the other sensors.
     unit : str, default "1"
         Of its readings.
     sigma : float, optional

@@ -353,7 +353,7 @@ class FrozenBank(BatchDetector):
         return memory, Decision(
             estimate, reconstruction, residual, threshold, isolated, fault_size, diverged, row.guarded, row.nis, row.covariance,
             process=process, process_size=process_size, process_sd=process_sd, suspect=suspect,
-            probability=_probability(np.concatenate([isolated, process], axis=-1) | suspect),
+            probability=shares_of_right(np.concatenate([isolated, process], axis=-1) | suspect),
         ), witness  # fmt: skip
 
     def _windows(self, k: int, t_now: float, memory: FrozenMemory, by_cause: Array, by_begun: Array) -> Found:
@@ -553,7 +553,7 @@ class FrozenBank(BatchDetector):
         return residual, threshold if k > self.frozen.settle else np.full(threshold.shape, np.inf)
 
 
-def _probability(held: Array) -> Array:
+def shares_of_right(held: Array) -> Array:
     """That of causes (..., H): what is named or suspected has equal shares of `RIGHT`."""
     return np.where(held, RIGHT / np.maximum(held.sum(axis=-1, keepdims=True), 1), 0.0)
 

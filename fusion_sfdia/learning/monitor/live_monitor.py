@@ -9,18 +9,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.detectors.detector import Claims, Decision, ProcessHypothesis, chosen
+from fusion_sfdia.detectors.detector import Claims, Decision, ProcessHypothesis, chosen, joined, stack
 from fusion_sfdia.detectors.state import State, mapped
 from fusion_sfdia.learning.monitor.causes import Trouble, causes
-from fusion_sfdia.learning.monitor.channels import Channels
+from fusion_sfdia.learning.monitor.channels import Channels, pieces_of
 from fusion_sfdia.learning.monitor.held_out import LearntLimits
 from fusion_sfdia.learning.monitor.judging import Before, judged, reach
 from fusion_sfdia.learning.monitor.residuals import Ahead, rows_of
 from fusion_sfdia.learning.monitor.row_verdicts import Verdicts, decisions_of, plant_of, tested, verdicts_of
 from fusion_sfdia.plant.gaps import LONG
+from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
 
 Array = NDArray[Any]
+
+AT_ONCE = 4096  # rows: of more, a log is judged in parts
 
 
 class Past(NamedTuple):
@@ -108,6 +111,24 @@ class LiveMonitor(Claims):
         if np.shape(y) != (count,) or np.shape(u) != (m,):
             raise ValueError(f"y {np.shape(y)}, u {np.shape(u)}; expected ({count},) and ({m},), NaN where missing")
         return self._stepped(state, t, np.concatenate([y, u]))
+
+    def steps(self, state: State, t: Array, y: Array, u: Array) -> tuple[State, Decision] | None:
+        """Judge rows at t (K,) at once; None where some have gone before, or several are at one step of the grid."""
+        at = np.rint((t - t[0]) / self.dt).astype(int)
+        if not np.isnan(state.memory.start) or np.any(np.diff(at) < 1):
+            return None
+        parts, past = [], Past.none(self.channels, self.learnt)
+        for piece in pieces_of(Log(t[:-1], y[:-1], u[:-1]), self.dt) if t.size > 1 else ():
+            past = Past.none(self.channels, self.learnt)
+            for k in range(0, len(piece.t), AT_ONCE):
+                rows = slice(k, k + AT_ONCE)
+                verdicts, past = follow(self.channels, self.learnt, piece.t[rows], piece.v[rows], past)
+                parts.append(chosen(decisions_of(self.channels, verdicts), piece.rows[rows] >= 0))
+        if parts:
+            grid = state.memory._replace(start=np.array(t[0]), step=np.array(at[-2]), now=self._kept(past))
+            state = state._replace(steps=state.steps + t.size - 1, memory=grid)
+        state, last = self.step(state, float(t[-1]), y[-1], u[-1])
+        return state, joined([*parts, stack([last])])
 
     def _stepped(self, state: State, t: float, y: Array) -> tuple[State, Decision]:
         grid: LiveGrid = state.memory

@@ -20,7 +20,7 @@ from fusion_sfdia.diagnosis.watch import Watch
 from fusion_sfdia.learning.monitor.causes import OK
 from fusion_sfdia.learning.monitor.channels import Channels, GridRows, learn_channels, pieces_of, usual_step
 from fusion_sfdia.learning.monitor.held_out import JOINED, WITNESS, Asked, LearntLimits, learn
-from fusion_sfdia.learning.monitor.live_monitor import LiveMonitor, Past, follow
+from fusion_sfdia.learning.monitor.live_monitor import AT_ONCE, LiveMonitor, Past, follow
 from fusion_sfdia.learning.monitor.residuals import rows_of
 from fusion_sfdia.learning.monitor.row_verdicts import SECONDS, Verdicts, diagnosed, joined_verdicts, plant_of
 from fusion_sfdia.learning.monitor.saved import packed, unpacked
@@ -42,7 +42,6 @@ FALSE_ALARM = 0.01  # share of rows: some hundred healthy rows support no lower 
 SUPPORTED = 4.0  # rows in alarm that the healthy rows would hold at the lowest rate that they can set
 FOUND = 1.3  # standard deviations above its limit: a lasting bias of so much is found with a probability of 0.9
 LEAST = 64  # healthy rows
-AT_ONCE = 4096  # rows: of more, a log is judged in parts
 CHANGED = 1.25  # factor of a limit that is worth a line
 FEWEST, CLOSEST = 20, 0.1  # rows of a log from which on its step is judged, by this quantile of their distances
 VERSION = 4
@@ -405,10 +404,14 @@ class Monitor:
             Before its next row.
         """
         of_monitor = {"gap": JOINED, "kinds": False, "repeats": True, "unknown_inputs": True, "longest_gap": LONG * self.dt}
-        detector = LiveMonitor(self.channels, self.dt, self.learnt)
-        return (
-            Watch(detector, **of_monitor | settings) if state is None else Watch.load(state, detector, **of_monitor | settings)
-        )
+        if state is None:
+            return Watch(self.live, **of_monitor | settings)
+        return Watch.load(state, self.live, **of_monitor | settings)
+
+    @property
+    def live(self) -> LiveMonitor:
+        """The monitor as a detector, which takes one row after another."""
+        return LiveMonitor(self.channels, self.dt, self.learnt)
 
     def _fitting(self, log: Log) -> Log:
         t, y, u = log

@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fusion_sfdia.common.arguments import some
 from fusion_sfdia.logs.cell_tables import Table, read_table
 from fusion_sfdia.logs.columns import split_title
 from fusion_sfdia.logs.grid import tagged
 from fusion_sfdia.logs.loaded_log import Finding, LoadedLog
-from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap
+from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap, load_map
 from fusion_sfdia.logs.numbers import Numbers
+from fusion_sfdia.logs.physics import StatedPhysics
 from fusion_sfdia.logs.reading import read_log
 from fusion_sfdia.logs.regular_sensors import regularities
 from fusion_sfdia.logs.times import Expected
 from fusion_sfdia.plant.linear import linear_plant
+from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.plant.signals import Sensor, Signal
 
 # units by which names of tags end, the first of these in any case; "in", "min" and single letters mean other things
 IN_NAMES = {u.lower(): u for u in "degC degF kPa hPa Pa bar mbar psi kW kWh Hz rpm pct percent ppm lps gpm cfm m3h".split()}
+ALL = "all"
 IN_NAMES |= {u: u for u in ("MPa", "MW", "mA", "mV")}
 
 
@@ -51,6 +57,41 @@ def signals_of(
     if not sensors:
         raise ValueError(f"{table.where}: no column is left as a sensor; its columns are {', '.join(map(repr, found))}")
     return sensors, [Signal(n, found[n] or "1") for n in inputs]
+
+
+def further_signals(
+    source: Any, plant: Plant, names: Sequence[str], log_map: LogMap | str | Path | None = None
+) -> tuple[Signal, ...]:
+    """The columns of a log of a plant by these names that are neither its sensors nor its inputs, or, of ["all"], every such
+    column with a number. ValueError for names that the log does not have, and for those of sensors and inputs.
+    """
+    read = PLAIN_MAP if log_map is None else log_map if isinstance(log_map, LogMap) else load_map(log_map)
+    own = {*plant.sensor_names, *(s.name for s in plant.inputs)}
+    if of_plant := [n for n in names if n in own]:
+        raise ValueError(f"{some(of_plant)}: sensors or inputs of plant {plant.name!r}; expected other columns of the log")
+    meant = {*read.columns, *(split_title(title)[0] for title in read.columns), *(c.quality for c in read.columns.values())}
+    signals, _ = signals_of(source, log_map=replace(read, columns={}, physics=StatedPhysics()))
+    others = {s.name: s for s in signals if s.name not in own | meant}
+    if list(names) == [ALL]:
+        table = tagged(read_table(source, read), read).table
+        numbers = {split_title(title)[0] for title in table.titles if _has_number(table.column(title), read)}
+        return tuple(s for name, s in others.items() if name in numbers)
+    if unknown := [n for n in names if n not in others]:
+        raise ValueError(f"no column {some(unknown)} in the log that the plant does not have; there are {some(list(others))}")
+    return tuple(others[n] for n in dict.fromkeys(names))
+
+
+def _has_number(cells: Sequence[Any], log_map: LogMap) -> bool:
+    """Whether the first cell that is not missing is a number."""
+    numbers = Numbers.of(log_map)
+    for cell in cells:
+        try:
+            value, _ = numbers.quantity(cell)
+        except ValueError:
+            return False
+        if np.isfinite(value):
+            return True
+    return False
 
 
 def _unit_of_name(name: str) -> str:

@@ -26,6 +26,8 @@ from fusion_sfdia.detectors.silent import require_scale, silent, silent_scores
 from fusion_sfdia.learning.commissioning.commission import Commissioning, as_runs
 from fusion_sfdia.learning.commissioning.parameters import moved
 from fusion_sfdia.learning.commissioning.refusals import require_moving
+from fusion_sfdia.learning.model_and_monitor import with_further
+from fusion_sfdia.learning.monitor.monitor import Monitor
 from fusion_sfdia.learning.tuning.frozen import tuned_frozen
 from fusion_sfdia.learning.tuning.stationary import require_no_drift, require_stationary
 from fusion_sfdia.learning.tuning.tail import AlarmCount, Threshold, counted, shortest, threshold, threshold_figures
@@ -42,6 +44,7 @@ from fusion_sfdia.learning.tuning.words import remarks
 from fusion_sfdia.plant.gaps import LONG, stated_step, stretches
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.plant import Plant
+from fusion_sfdia.plant.signals import Signal
 
 Array = NDArray[Any]
 
@@ -67,6 +70,7 @@ def tune(
     *healthy: Any,
     false_alarm: str | float | Rate = "1/day",
     detector: str = registry.COMMISSIONED,
+    further: Sequence[Signal | str] = (),
     strict: bool = False,
     sources: Sequence[HealthySource] = (),
     made: str = "",
@@ -85,6 +89,10 @@ def tune(
     detector : str, default "frozen-model"
         A registered name, or a reference such as "mine.py:MyDetector". One that commissions the plant by itself,
         "frozen-model", leaves readings that are not healthy out, and lists them (`quality`).
+    further : sequence of Signal or str, default ()
+        Channels of the logs of which the model predicts nothing, behind its sensors in y, or the titles of their columns in a
+        frame; of "frozen-model" alone. A monitor learns these and the sensors, and the tuned detector gives one verdict by the
+        model and by the monitor, each at half of the rate.
     strict : bool, default False
         Such readings raise ValueError, as they do for all other detectors.
     sources : sequence of HealthySource, default ()
@@ -117,17 +125,28 @@ def tune(
     'limits'
     """
     plant, rate, entry = registry.plant(plant), Rate.of(false_alarm), registry.find_detector(detector)
-    logs = [_runs(as_runs(plant, (one,))) for one in healthy]
+    channels = tuple(s if isinstance(s, Signal) else Signal(s) for s in further)
+    if channels and not entry.commissions:
+        raise ValueError(
+            f"further channels are judged beside {registry.COMMISSIONED!r}, not {entry.name!r}; leave detector, or further, out"
+        )
+    whole = with_further(plant, channels)
+    logs = [_runs(as_runs(whole, (one,))) for one in healthy]
     origin = list(sources) or [HealthySource(f"readings {i + 1}") for i in range(len(logs))]
     apart, moments = [run for runs in logs for run in runs], _moments(logs, origin)
     if entry.commissions:
-        log, times, of = as_even_runs(plant, apart)
-        frozen = tuned_frozen(plant, log, partial(_at, times, of, moments), rate, strict, each)
-        per_sample = frozen.detector.fitted_rate
+        log, times, of = as_even_runs(plant, [run._replace(y=run.y[:, : len(plant.sensors)]) for run in apart])
+        each_rate = Rate(rate.count / 2, rate.per) if channels else rate
+        frozen = tuned_frozen(plant, log, partial(_at, times, of, moments), each_rate, strict, each)
+        per_sample = rate.per_sample(float(np.median(np.diff(log.t))))
         used = {"name": entry.name, "threshold_scale": frozen.detector.threshold_scale, "false_alarm": str(rate)}
         document = {"plant": plant_table(plant), "detector": used | {"per_sample": per_sample}, **frozen.tables}
-        built = replace(frozen.detector, commissioned=_end(origin, logs))
-        return Tuned(document | _provenance(origin, logs, made) | {"quality": frozen.quality}, built, entry)
+        built, monitor, quality = replace(frozen.detector, commissioned=_end(origin, logs)), None, frozen.quality
+        if channels:
+            monitor = _monitor(whole, logs, origin, per_sample / 2, each)
+            document |= {"further": {s.name: {"unit": s.unit} for s in channels}}
+            quality = _with_monitor(quality, monitor)
+        return Tuned(document | _provenance(origin, logs, made) | {"quality": quality}, built, entry, monitor)
     for run, moment in zip(apart, moments, strict=True):
         require_moving(plant, as_runs(plant, (run,)), partial(_at, run.t[:, None], (0,), [moment]))
     log, times, of = as_even_runs(plant, apart)
@@ -168,6 +187,27 @@ def tune(
     quality = _quality(found, log, limit, counted(parts, across), late, rate, dt)
     document = {"plant": tables["plant"], "detector": used, **{k: v for k, v in tables.items() if k != "plant"}}
     return Tuned(document | _provenance(origin, logs, made) | {"quality": quality}, final if entry.learns else None, entry)
+
+
+def _monitor(
+    plant: Plant, logs: Sequence[Sequence[Log]], origin: Sequence[HealthySource], per_sample: float, each: Each
+) -> Monitor:
+    """The monitor of all sensors of a plant, with these rows in alarm; logs: the runs of each source."""
+    of = [source for source, runs in zip(origin, logs, strict=True) for _ in runs]
+    sensors, runs = [Signal(s.name, s.unit) for s in plant.sensors], [run for runs in logs for run in runs]
+    return Monitor.of_logs(
+        sensors, runs, inputs=plant.inputs, false_alarm=per_sample, names=[s.name for s in of], clocks=[s.clock for s in of],
+        each=each,
+    )  # fmt: skip
+
+
+def _with_monitor(quality: dict[str, Any], monitor: Monitor) -> dict[str, Any]:
+    """The figures of quality with those of the monitor, and its remarks."""
+    channels, remarks = monitor.channels, list(monitor.remarks)
+    remarks += [f"left out: {name}, {why}" for name, why in channels.left_out.items()]
+    remarks += [f"{name} never moved when healthy; any other reading is reported" for name in channels.still]
+    figures = dict(zip(("rate", "low", "high"), map(float, monitor.learnt.limits.rate), strict=True))
+    return quality | {"monitor": figures, "remarks": [*quality["remarks"], *(f"monitor: {one}" for one in remarks)]}
 
 
 def _provenance(origin: Sequence[HealthySource], logs: Sequence[Sequence[Log]], made: str) -> dict[str, Any]:

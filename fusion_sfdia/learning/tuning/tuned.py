@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.common.arguments import number, shown
+from fusion_sfdia.common.arguments import number, shown, some
 from fusion_sfdia.common.errors import warn
 from fusion_sfdia.common.files import all_or_none, atomic_write
 from fusion_sfdia.common.rate import Rate
@@ -29,9 +29,11 @@ from fusion_sfdia.learning.commissioning.disturbances import FoundDisturbance, m
 from fusion_sfdia.learning.commissioning.noise_likelihood import Noise, state_groups, with_noise
 from fusion_sfdia.learning.commissioning.parameters import ParameterEstimate, declared, free, moved
 from fusion_sfdia.learning.commissioning.start import Start, seen_to_fit, with_start
+from fusion_sfdia.learning.model_and_monitor import ModelAndMonitor, with_further
+from fusion_sfdia.learning.monitor.monitor import Monitor
 from fusion_sfdia.plant.augment import fixed
 from fusion_sfdia.plant.plant import Plant
-from fusion_sfdia.plant.signals import Sensor
+from fusion_sfdia.plant.signals import Sensor, Signal
 from fusion_sfdia.plant.slow_noise import SlowNoise
 from fusion_sfdia.plant.uncertainty import error_of
 
@@ -52,6 +54,7 @@ COMMENTS = {
     "disturbance": "A direction of mismatch (state: units of the states; reading: of the sensors): its mean is an offset.\n"
     "moves: what it moves most, in words.",
     "start": "Where runs begin: a state, and the variance of first states about it.",
+    "further": "Channels that a monitor judges beside the model, which predicts nothing of them.",
     "quality": "How well this holds, on halves of the log from which it was not learnt.",
 }
 SAME = 1e-8  # of the terms of a sum: far above rounding, far below what a changed parameter moves
@@ -70,6 +73,8 @@ class Tuned:
         suffice.
     build : NamedDetector or None
         What `tune` has built the detector with; None of one that was read, as a file names a detector but imports no code.
+    monitor : Monitor or None
+        Of the sensors and of further channels of the log, which judges them beside the detector; None without any.
 
     Examples
     --------
@@ -79,6 +84,12 @@ class Tuned:
     document: dict[str, Any]
     fitted: Any = None
     build: registry.NamedDetector | None = None
+    monitor: Monitor | None = None
+
+    @property
+    def further(self) -> tuple[Signal, ...]:
+        """The further channels."""
+        return tuple(Signal(name, str(row.get("unit", "1"))) for name, row in self.document.get("further", {}).items())
 
     @property
     def rate(self) -> Rate:
@@ -140,14 +151,37 @@ class Tuned:
         Returns
         -------
         Detector
-            With the tuned thresholds.
+            With the tuned thresholds; where there are further channels, on the plant with these as sensors behind its own.
 
         Raises
         ------
         ValueError
             As of `plant`, and where the detector is another than the one that was tuned, or has other settings now.
         """
-        entry = self.entry(detector)
+        found = self._of_model(plant, self.entry(detector))
+        return found if self.monitor is None else ModelAndMonitor(found, self.monitor.live)
+
+    def logged_plant(self, plant: Plant) -> Plant:
+        """The plant as `plant` gives it, with the further channels as sensors behind its own.
+
+        Parameters
+        ----------
+        plant : Plant
+            As its maker gives it.
+
+        Returns
+        -------
+        Plant
+            Of which logs are read.
+
+        Raises
+        ------
+        ValueError
+            As of `plant`.
+        """
+        return with_further(self.plant(plant), self.further)
+
+    def _of_model(self, plant: Plant, entry: registry.NamedDetector) -> Any:
         acting = acting_plant(self.plant(plant), entry)
         if isinstance(self.fitted, Path):
             return load_detector(self.fitted, acting, classes_beside(entry))
@@ -197,7 +231,7 @@ class Tuned:
         return registry.find_detector(given)
 
     def write(self, path: str | Path) -> None:
-        """Write the file, and beside it (.npz) a detector that learns from data.
+        """Write the file, and beside it a detector that learns from data (.npz) and the monitor of further channels (.sfdia).
 
         Parameters
         ----------
@@ -208,9 +242,12 @@ class Tuned:
         if self.fitted is None:
             write_document(path, self.document, COMMENTS)
             return
-        beside = path.with_suffix(".npz").name
-        document = self.document | {"detector": self.document["detector"] | {"fitted": beside}}
+        beside, monitor = path.with_suffix(".npz").name, path.with_suffix(".sfdia").name
+        names = {"fitted": beside} | ({} if self.monitor is None else {"monitor": monitor})
+        document = self.document | {"detector": self.document["detector"] | names}
         with all_or_none(path.parent) as new:
+            if self.monitor is not None:
+                self.monitor.save(new / monitor)
             if isinstance(self.fitted, Path):
                 (new / beside).write_bytes(self.fitted.read_bytes())
             else:
@@ -247,17 +284,40 @@ class Tuned:
             rows = list(found.values()) if isinstance(found, dict) else found
             if not isinstance(found, form) or not all(isinstance(row, dict) for row in rows):
                 raise ValueError(f"{path}: [{table}] is not as `fusion-sfdia tune` writes it; restore the file, or tune again")
-        beside = document["detector"].get("fitted")
-        if beside is not None and not (isinstance(beside, str) and re.fullmatch(r"[^/\\:]+\.npz", beside)):
-            raise ValueError(f"{path}: fitted is {shown(beside)}; expected the name of an .npz file in the same folder")
-        tuned = cls(document, None if beside is None else path.parent / str(beside))
+        fitted, kept = (_beside(path, document["detector"], *what) for what in (("fitted", ".npz"), ("monitor", ".sfdia")))
+        tuned = cls(document, fitted, monitor=None if kept is None else Monitor.load(kept))
         try:
             if not 0 < tuned.threshold_scale < np.inf:
                 raise ValueError(f"threshold_scale is {tuned.threshold_scale}; expected a positive number")
             tuned.rate.per_sample(number("dt", document["plant"]["dt"]))
+            _require_channels(tuned)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
         return tuned
+
+
+def _beside(path: Path, of: Mapping[str, Any], what: str, suffix: str) -> Path | None:
+    """The file that a tuned file names beside itself, None where it names none."""
+    name = of.get(what)
+    if name is not None and not (isinstance(name, str) and re.fullmatch(rf"[^/\\:]+\{suffix}", name)):
+        raise ValueError(f"{path}: {what} is {shown(name)}; expected the name of a file {suffix} in the same folder")
+    return None if name is None else path.parent / name
+
+
+def _require_channels(tuned: Tuned) -> None:
+    """Raise ValueError where the monitor is not of the sensors, further channels and inputs that the file names."""
+    further = [s.name for s in tuned.further]
+    if tuned.monitor is None:
+        if further:
+            raise ValueError(f"it has the further channels {some(further)} and names no monitor of them; tune again")
+        return
+    channels, expected = tuned.monitor.channels, [*tuned.document["sensors"], *further]
+    for what, found, needed in (
+        ("sensors", channels.sensors, expected),
+        ("inputs", channels.inputs, tuned.document["plant"].get("inputs")),
+    ):
+        if (names := [s.name for s in found]) != needed:
+            raise ValueError(f"its monitor is of the {what} {some(names)}, the file of {some(needed)}; tune again")
 
 
 NEEDED = {
@@ -266,7 +326,7 @@ NEEDED = {
     "sensors": (),
     "quality": (),
 }
-FORMS: dict[str, Any] = {"sensors": dict, "parameters": dict, "disturbance": list}  # tables of tables
+FORMS: dict[str, Any] = {"sensors": dict, "further": dict, "parameters": dict, "disturbance": list}  # tables of tables
 LARGEST = 1e100  # of what is squared
 
 

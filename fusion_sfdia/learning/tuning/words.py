@@ -32,6 +32,12 @@ def as_text(tuned: Tuned) -> str:
         f"  {judged}: {achieved['rate']} ({achieved['low']} to {achieved['high']}), "
         f"{achieved['samples_above']} samples in {achieved['alarms']} alarms",
     ]
+    if "monitor" in q:
+        m = q["monitor"]
+        lines.append(
+            f"  half of it is the model's, judged above, half the monitor's, of its sensors and {len(d['further'])} further "
+            f"channels: {m['rate']:.2g} ({m['low']:.2g} to {m['high']:.2g}) of rows that were not learnt"
+        )
     if q["expected_above"] < 1:
         lines.append(
             "  this rate cannot be counted on so short a log: it follows from the tail of the scores; a log of "
