@@ -47,7 +47,7 @@ def _audit(chosen: argparse.Namespace) -> int:
 
     if chosen.out is not None and (chosen.out.is_dir() or (chosen.out.is_file() and not chosen.force)):
         raise ValueError(f"{chosen.out} exists; name another file with --out, or replace it with --force")
-    name, _ = bound_detector(chosen.plant, chosen.detector, chosen.tuned)
+    name, _ = bound_detector(chosen.plant, chosen.detector, chosen.tuned, simulated=True)
     found = audit(
         partial(_built, chosen.plant, chosen.detector, chosen.tuned),
         seeds=range(chosen.first_seed, chosen.first_seed + chosen.seeds),
@@ -72,4 +72,4 @@ def _built(plant: str, detector: str | None, tuned: Path | None) -> Any:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        return bound_detector(plant, detector, tuned)[1]
+        return bound_detector(plant, detector, tuned, simulated=True)[1]

@@ -107,7 +107,7 @@ def _check_log(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.logs.problems import LogError
 
     try:
-        found = check_log(chosen.data, chosen_plant(chosen), chosen.map, **columns(chosen))
+        found = check_log(chosen.data, chosen_plant(chosen, logged=True), chosen.map, **columns(chosen))
     except LogError as error:
         if chosen.json:
             print(json.dumps([asdict(p) for p in error.problems], indent=2))

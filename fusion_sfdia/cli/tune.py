@@ -57,24 +57,26 @@ def add_tune(commands: Any) -> None:
     one.set_defaults(work=_tune)
 
 
-def tuned_plant(plant: Plant, file: Path) -> Plant:
-    """The plant with what a tuned file has learnt; ValueError, which names the file, where it is of another plant."""
+def tuned_plant(plant: Plant, file: Path, *, logged: bool = False) -> Plant:
+    """The plant with what a tuned file has learnt; logged: also with its further channels, as logs have them. ValueError, which
+    names the file, where it is of another plant.
+    """
     from fusion_sfdia.learning.tuning.tuned import Tuned
 
     found = Tuned.read(file)
     try:
         with printed_warnings():
-            return found.plant(plant)
+            return found.logged_plant(plant) if logged else found.plant(plant)
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from error
 
 
-def chosen_plant(chosen: argparse.Namespace) -> Plant:
-    """The plant of --plant, with what the file of --tuned has learnt where one is given."""
+def chosen_plant(chosen: argparse.Namespace, *, logged: bool = False) -> Plant:
+    """The plant of --plant, with what the file of --tuned has learnt where one is given, see `tuned_plant`."""
     from fusion_sfdia.detectors.registry import plant
 
     made = plant(chosen.plant)
-    return made if chosen.tuned is None else tuned_plant(made, chosen.tuned)
+    return made if chosen.tuned is None else tuned_plant(made, chosen.tuned, logged=logged)
 
 
 def tuned_entry(plant: str, detector: str | None, file: Path) -> NamedDetector:
@@ -83,12 +85,15 @@ def tuned_entry(plant: str, detector: str | None, file: Path) -> NamedDetector:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        name, built = bound_detector(plant, detector, file)
+        name, built = bound_detector(plant, detector, file, simulated=True)
     return registry.NamedDetector(name, f"as tuned in {file}", lambda of: built)
 
 
-def bound_detector(plant: str, detector: str | None, tuned: Path | None) -> tuple[str, Any]:
-    """Name and object of a detector on a plant: of a tuned file, or as registered (the default where none is named)."""
+def bound_detector(plant: str, detector: str | None, tuned: Path | None, *, simulated: bool = False) -> tuple[str, Any]:
+    """Name and object of a detector on a plant: of a tuned file, or as registered (the default where none is named).
+
+    simulated: for simulated readings, which have no further channels: the detector of the model alone.
+    """
     from fusion_sfdia.detectors import registry
 
     if tuned is None:
@@ -100,7 +105,8 @@ def bound_detector(plant: str, detector: str | None, tuned: Path | None) -> tupl
     try:
         with printed_warnings():
             entry = found.entry(detector)
-            return entry.name, found.detector(registry.plant(plant), entry)
+            build = found.model_detector if simulated else found.detector
+            return entry.name, build(registry.plant(plant), entry)
     except ValueError as error:
         raise ValueError(f"{tuned}: {error}") from error
 

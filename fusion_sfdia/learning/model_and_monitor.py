@@ -4,7 +4,10 @@ The model (`frozen_model`) judges its own sensors, the monitor (`monitor`) all c
 predicts nothing, the further ones, among them. Each is at its own share of the stated rate; in each row there is one verdict:
 
 - a sensor is named that both name, or that one names and the other one does not speak against: it raises no alarm, or has that
-  sensor among its suspects; of a further channel only the monitor can speak;
+  sensor among its suspects, of the model's suspects only where the process is none of them; of a further channel only the
+  monitor can speak;
+- what the monitor names alone, by less than `CLEAR` times its limit, is a suspect for the first `BRIEF` rows: it may be so by
+  chance;
 - two that each only one of them can judge, and names, are two faults; otherwise, where they name different sensors, these are
   suspects;
 - a sensor that one names, while the other says "process" or suspects others, is a suspect beside these;
@@ -33,7 +36,7 @@ from fusion_sfdia.detectors.state import State
 from fusion_sfdia.learning.frozen_model.frozen_bank import OUTSIDE, FrozenBank, shares_of_right
 from fusion_sfdia.learning.monitor.channels import deviations
 from fusion_sfdia.learning.monitor.live_monitor import LiveMonitor
-from fusion_sfdia.learning.monitor.row_verdicts import DROPOUT, FREEZE
+from fusion_sfdia.learning.monitor.row_verdicts import BRIEF, CLEAR, DROPOUT, FREEZE
 from fusion_sfdia.plant.plant import OutputFunction, Plant, StepFunction, Structure, Truth
 from fusion_sfdia.plant.signals import Sensor, Signal
 
@@ -74,16 +77,17 @@ def _padded(function: OutputFunction | StepFunction, count: int, axis: int, *arg
 
 
 class BothMemory(NamedTuple):
-    """The states of the model's detector and of the monitor."""
+    """The states of the model's detector and of the monitor, and for how many rows this has named each sensor (N,)."""
 
     model: State
     monitor: State
+    held: Array
 
 
 class Said(NamedTuple):
     """What one of the two says in a row, of all sensors and process hypotheses (H,): the sensors that it names; what of the
     process holds, but for operation and recordings that no healthy log has; what it suspects; which sensors it can judge.
-    Whether operation is outside what it has learnt, and whether it suspects readings that move together, the process.
+    Whether operation is outside what it has learnt, and whether the process is among its suspects.
     """
 
     named: Array
@@ -135,7 +139,7 @@ class ModelAndMonitor(Claims):
         """Before the first row; ValueError for a batch."""
         monitor = self.monitor.init(batch, t, seed)  # refuses a batch
         model = self.model.init(batch, t, seed)
-        return model._replace(memory=BothMemory(model, monitor))
+        return model._replace(memory=BothMemory(model, monitor, np.zeros(len(self.hypotheses))))
 
     def step(self, state: State, t: float, y: Array, u: Array) -> tuple[State, Decision]:
         """Judge the readings y (N,) at t (s) with the inputs u (m,); a row without any is none for the monitor."""
@@ -144,7 +148,8 @@ class ModelAndMonitor(Claims):
         monitor, by_monitor = memory.monitor, None
         if np.isfinite(y).any():
             monitor, by_monitor = self.monitor.step(monitor, t, y, u)
-        return model._replace(memory=BothMemory(model, monitor)), self._together(y, by_model, by_monitor)
+        held, decision = self._together(memory.held, y, by_model, by_monitor)
+        return model._replace(memory=BothMemory(model, monitor, held)), decision
 
     def steps(self, state: State, t: Array, y: Array, u: Array) -> tuple[State, Decision] | None:
         """Judge rows at t (K,), the monitor at once; None where it cannot."""
@@ -154,12 +159,13 @@ class ModelAndMonitor(Claims):
             if (found := self.monitor.steps(monitor, t[read], y[read], u[read])) is None:
                 return None
             monitor, by_monitor = found
-        model, decisions, row = memory.model, list[Decision](), iter(range(t.size))
+        model, held, decisions, row = memory.model, memory.held, list[Decision](), iter(range(t.size))
         for k, has in enumerate(np.atleast_1d(read).tolist()):
             model, by_model = self.model.step(model, float(t[k]), y[k, :own], u[k])
             its = chosen(by_monitor, next(row)) if by_monitor is not None and has else None
-            decisions.append(self._together(y[k], replace(by_model, covariance=None), its))
-        return model._replace(memory=BothMemory(model, monitor)), stack(decisions)
+            held, decision = self._together(held, y[k], replace(by_model, covariance=None), its)
+            decisions.append(decision)
+        return model._replace(memory=BothMemory(model, monitor, held)), stack(decisions)
 
     @cached_property
     def _places(self) -> tuple[Array, Array]:
@@ -196,14 +202,16 @@ class ModelAndMonitor(Claims):
         suspect[places] = decision.suspect
         return held, size, sd, suspect
 
-    def _said(self, held: Array, suspect: Array, judges: Array) -> Said:
+    def _said(self, held: Array, suspect: Array, judges: Array, perhaps: Array) -> Said:
         kinds = self._kinds
         other = kinds["sensor"] | kinds["outside"] | kinds["recorder"] | kinds["still"]
-        outside, perhaps = bool((held & kinds["outside"]).any()), bool((suspect & kinds["together"]).any())
-        return Said(held & kinds["sensor"], held & ~other, suspect, judges, outside, perhaps)
+        outside = bool((held & kinds["outside"]).any())
+        return Said(held & kinds["sensor"], held & ~other, suspect, judges, outside, bool(perhaps.any()))
 
-    def _together(self, y: Array, by_model: Decision, by_monitor: Decision | None) -> Decision:
-        """The Decision on readings y (N,) of that of the model and that of the monitor, None where it judged none."""
+    def _together(self, rows: Array, y: Array, by_model: Decision, by_monitor: Decision | None) -> tuple[Array, Decision]:
+        """The Decision on readings y (N,) of that of the model and that of the monitor, None where it judged none, which has
+        named each sensor for so many rows before (N,); and for how many with this one.
+        """
         sensors, own, kinds = y.size, by_model.isolated.size, self._kinds
         held, size, sd, suspect = self._spread(by_model, self._places[0])
         residual, threshold, reconstruction = np.full(sensors, np.nan), np.full(sensors, np.nan), y.copy()
@@ -214,8 +222,13 @@ class ModelAndMonitor(Claims):
             its_held, its_size, its_sd, its_suspect = self._spread(by_monitor, self._places[1])
             stops = np.zeros(held.size, bool)
             stops[:sensors] = by_monitor.isolated & np.isin(by_monitor.shown_by, (FREEZE, DROPOUT))
-            model = self._said(held & ~stops, suspect, self._judges[0])
-            monitor = self._said(its_held & ~stops, its_suspect, self._judges[1])
+            model = self._said(held & ~stops, suspect, self._judges[0], suspect & ~kinds["sensor"])
+            rows = np.where(by_monitor.isolated, rows + 1, 0.0)
+            brief = np.zeros(held.size, bool)
+            brief[:sensors] = (rows > 0) & (rows <= BRIEF) & (by_monitor.scores < CLEAR)
+            brief &= ~(held | stops)
+            its_suspect = its_suspect | brief
+            monitor = self._said(its_held & ~stops & ~brief, its_suspect, self._judges[1], its_suspect & kinds["together"])
             by_it = its_held & ~model.named & ~model.process
             held, suspect = merged(model, monitor, kinds["outside"])
             held = held | stops
@@ -226,7 +239,7 @@ class ModelAndMonitor(Claims):
             residual[own:], threshold[own:] = by_monitor.residual[own:], by_monitor.threshold[own:]
             its = (held & by_it)[:sensors]
             shown_by[its], reconstruction[its] = by_monitor.shown_by[its], by_monitor.reconstruction[its]
-        return replace(
+        return rows, replace(
             by_model,
             reconstruction=reconstruction,
             residual=residual,
@@ -253,10 +266,12 @@ def merged(model: Said, monitor: Said, outside: Array) -> tuple[Array, Array]:
         alone = (model.named & ~monitor.judges) | (monitor.named & ~model.judges)
         held = both | alone if both.any() or not (every & ~alone).any() else none
         return held, every & ~held
-    for one, other, extrapolates in ((model, monitor, False), (monitor, model, model.outside)):
+    of_monitor = (monitor, model, model.outside, model.perhaps_process)
+    for one, other, extrapolates, undecided in ((model, monitor, False, False), of_monitor):
         if one.named.any():
             against = other.process | other.suspect | (outside & extrapolates)
-            if not against.any() or not (other.process.any() or (one.named & ~other.suspect).any()):
+            differs = undecided or other.process.any() or (one.named & ~other.suspect).any()
+            if not (against.any() and differs):
                 return one.named, none
             return none, one.named | against
     process = model.process if model.process.any() else monitor.process

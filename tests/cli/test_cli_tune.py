@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import json
+import sys
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -30,6 +33,60 @@ def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str,
     code = main(arguments)
     out, err = capsys.readouterr()
     return code, out, err
+
+
+def with_further(path: str, seed: int, off: slice | None = None) -> None:
+    """The log of the toy plant with two further channels, a state in words and one that never moves; off: rows of a fault."""
+    log, rng = pandas.read_csv(path), np.random.default_rng(seed)
+    both = log["s1 [1]"] + log["s2 [1]"]
+    log["mean [1]"], log["sum"] = (factor * both + 0.1 * rng.standard_normal(len(log)) for factor in (0.5, 1.0))
+    log["mode"], log["lamp"] = "auto", 1.0
+    if off is not None:
+        log.loc[log.index[off], "sum"] += 20.0
+    log.to_csv(path, index=False)
+
+
+def test_further_columns_are_learnt_and_judged(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("toy.py").write_text(TOY)
+    plant = ("--plant", "toy.py:make")
+    for name, seed, steps in (("a", "1", "400"), ("b", "2", "80")):
+        call(capsys, "simulate", *plant, "--steps", steps, "--seed", seed, "--process-noise", "--out", f"{name}.csv")
+    with_further("a.csv", 1)
+    with_further("b.csv", 2, slice(50, 80))
+    tune = ("tune", *plant, "--healthy", "a.csv", "--false-alarm", "0.02", "--other-columns")
+    for further, error in (
+        ("s1", "further 's1': plant 'chain' has them already; name other columns of the log"),
+        ("sun", "further 'sun': no columns of the log; beside those of the plant it has 'mean', 'sum', 'mode', 'lamp'"),
+    ):
+        code, _, err = call(capsys, *tune, "--further", further)
+        assert code == 2 and error in err
+    code, out, _ = call(capsys, *tune, "--further", "all")
+    assert code == 0 and "of its sensors and 3 further channels" in out
+    assert "monitor: lamp never moved when healthy" in out
+    written = tomllib.loads(Path("tuned.toml").read_text())
+    assert list(written["further"]) == ["mean", "sum", "lamp"] and written["detector"]["monitor"] == "tuned.sfdia"
+
+    tuned = (*plant, "--tuned", "tuned.toml", "--other-columns")
+    code, out, _ = call(capsys, "diagnose", *tuned, "--data", "b.csv", "--json", "--out", "found")
+    found = json.loads(out)
+    assert code == 0 and found["verdict"] == "sensor sum" and {e["hypothesis"] for e in found["events"]} == {"sum"}, out
+    code, out, _ = call(capsys, "check-log", *tuned, "--data", "b.csv")
+    assert code == 0 and "1 column not used: 'mode'" in out
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO(Path("b.csv").read_bytes())))
+    code, out, _ = call(capsys, "watch", *tuned)
+    lines = [json.loads(line) for line in out.splitlines()]
+    assert code == 0 and {line["hypothesis"] for line in lines if line["event"] == "opened"} == {"sum"}, out
+
+    short = pandas.read_csv("b.csv").drop(columns="sum")
+    short.to_csv("c.csv", index=False)
+    code, _, err = call(capsys, "diagnose", *tuned, "--data", "c.csv", "--out", "other")
+    assert code == 2 and "no column for the sensors 'sum' of plant 'chain'" in err, err
+    Path("tuned.sfdia").unlink()
+    code, _, err = call(capsys, "diagnose", *tuned, "--data", "b.csv", "--out", "other")
+    assert code == 2 and "tuned.sfdia cannot be read" in err
 
 
 @pytest.mark.slow

@@ -68,7 +68,7 @@ def further_signals(
     read = PLAIN_MAP if log_map is None else log_map if isinstance(log_map, LogMap) else load_map(log_map)
     own = {*plant.sensor_names, *(s.name for s in plant.inputs)}
     if of_plant := [n for n in names if n in own]:
-        raise ValueError(f"{some(of_plant)}: sensors or inputs of plant {plant.name!r}; expected other columns of the log")
+        raise ValueError(f"further {some(of_plant)}: plant {plant.name!r} has them already; name other columns of the log")
     meant = {*read.columns, *(split_title(title)[0] for title in read.columns), *(c.quality for c in read.columns.values())}
     signals, _ = signals_of(source, log_map=replace(read, columns={}, physics=StatedPhysics()))
     others = {s.name: s for s in signals if s.name not in own | meant}
@@ -77,7 +77,9 @@ def further_signals(
         numbers = {split_title(title)[0] for title in table.titles if _has_number(table.column(title), read)}
         return tuple(s for name, s in others.items() if name in numbers)
     if unknown := [n for n in names if n not in others]:
-        raise ValueError(f"no column {some(unknown)} in the log that the plant does not have; there are {some(list(others))}")
+        raise ValueError(
+            f"further {some(unknown)}: no columns of the log; beside those of the plant it has {some(list(others))}"
+        )
     return tuple(others[n] for n in dict.fromkeys(names))
 
 

@@ -158,8 +158,44 @@ class Tuned:
         ValueError
             As of `plant`, and where the detector is another than the one that was tuned, or has other settings now.
         """
-        found = self._of_model(plant, self.entry(detector))
+        found = self.model_detector(plant, detector)
         return found if self.monitor is None else ModelAndMonitor(found, self.monitor.live)
+
+    def model_detector(
+        self, plant: Plant, detector: str | Callable[[Plant], Detector] | registry.NamedDetector | None = None
+    ) -> Any:
+        """The tuned detector of the model and its sensors alone, without the further channels.
+
+        Parameters
+        ----------
+        plant : Plant
+            As of `detector`.
+        detector : str, callable or NamedDetector, optional
+            As of `detector`.
+
+        Returns
+        -------
+        Detector
+            With the tuned thresholds.
+
+        Raises
+        ------
+        ValueError
+            As of `detector`.
+        """
+        entry = self.entry(detector)
+        acting = acting_plant(self.plant(plant), entry)
+        if isinstance(self.fitted, Path):
+            return load_detector(self.fitted, acting, classes_beside(entry))
+        if self.fitted is not None:
+            return self.fitted
+        built: Any = registry.detector(entry, acting)
+        if (expected := self.document["detector"].get("digest")) not in (None, settings_digest(built)):
+            raise ValueError(
+                f"it was tuned for {self.detector_name} with the digest {shown(expected)}, {entry.name} is now a "
+                f"{type(built).__name__} with other settings, of the digest {settings_digest(built)!r}; tune again with it"
+            )
+        return scaled(built, self.threshold_scale, number("per_sample", self.document["detector"]["per_sample"]))
 
     def logged_plant(self, plant: Plant) -> Plant:
         """The plant as `plant` gives it, with the further channels as sensors behind its own.
@@ -180,20 +216,6 @@ class Tuned:
             As of `plant`.
         """
         return with_further(self.plant(plant), self.further)
-
-    def _of_model(self, plant: Plant, entry: registry.NamedDetector) -> Any:
-        acting = acting_plant(self.plant(plant), entry)
-        if isinstance(self.fitted, Path):
-            return load_detector(self.fitted, acting, classes_beside(entry))
-        if self.fitted is not None:
-            return self.fitted
-        built: Any = registry.detector(entry, acting)
-        if (expected := self.document["detector"].get("digest")) not in (None, settings_digest(built)):
-            raise ValueError(
-                f"it was tuned for {self.detector_name} with the digest {shown(expected)}, {entry.name} is now a "
-                f"{type(built).__name__} with other settings, of the digest {settings_digest(built)!r}; tune again with it"
-            )
-        return scaled(built, self.threshold_scale, number("per_sample", self.document["detector"]["per_sample"]))
 
     def entry(self, given: str | Callable[[Plant], Detector] | registry.NamedDetector | None = None) -> registry.NamedDetector:
         """The detector to build: the given one, or else that of the file's name where it is one of this package.

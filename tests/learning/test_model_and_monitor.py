@@ -1,0 +1,157 @@
+"""A commissioned model and a monitor beside it: one verdict a row, on a log with more channels than the model has sensors."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from toy_plants import tanks
+
+from fusion_sfdia.detectors.detector import stack
+from fusion_sfdia.diagnoser import detector
+from fusion_sfdia.diagnosis.simulate import simulate
+from fusion_sfdia.learning.model_and_monitor import ModelAndMonitor, Said, merged, with_further
+from fusion_sfdia.learning.tuning.tune import tune
+from fusion_sfdia.learning.tuning.tuned import Tuned
+from fusion_sfdia.learning.tuning.words import as_text
+from fusion_sfdia.plant.gaps import bridged
+from fusion_sfdia.plant.log import Log
+from fusion_sfdia.plant.signals import Signal
+
+Array = NDArray[Any]
+
+PLANT = tanks()
+N = len(PLANT.sensors)
+FURTHER = (Signal("scale", "kg"), Signal("probe", "m"), Signal("lamp", "1"))
+
+
+@cache
+def recorded(seed: int, steps: int = 900) -> Log:
+    """A scale below a tank and a second probe, and a lamp that is always on."""
+    found = simulate(PLANT, steps, [seed], process_noise=True)
+    rng, y = np.random.default_rng(seed), found.y[:, 0]
+    slow = np.sin(found.t / 700.0 + seed)
+    more = np.stack([40 * y[:, 0] + 5 * slow, y[:, 1] + 0.02 * slow, np.ones(steps)], axis=1)
+    return Log(found.t, np.concatenate([y, more + rng.standard_normal(more.shape) * [0.1, 0.002, 0.0]], axis=1), found.u)
+
+
+@cache
+def tuned() -> Tuned:
+    return tune(PLANT, recorded(1, 700), false_alarm=0.01, further=FURTHER)
+
+
+def with_bias(log: Log, i: int, rows: slice, size: float) -> Log:
+    y = log.y.copy()
+    y[rows, i] += size
+    return log._replace(y=y)
+
+
+SENSORS = ("a", "b", "zone")  # the model has the first two
+PROCESS = ("fouling", "together", "outside")
+NAMES = (*SENSORS, *PROCESS)
+
+
+def held(text: str) -> Array:
+    return np.isin(NAMES, text.split())
+
+
+def said(text: str, judges: str) -> Said:
+    """Of a text such as "a", "a?" (suspected), "fouling" or "outside"."""
+    words = text.split()
+    suspect = held(" ".join(w[:-1] for w in words if w.endswith("?")))
+    named, process = (held(" ".join(w for w in words if w in of)) for of in (SENSORS, ("fouling", "together")))
+    return Said(named, process, suspect, held(judges), "outside" in words, {"fouling?", "together?"} & {*words} != set())
+
+
+@pytest.mark.parametrize(
+    ("model", "monitor", "holds", "suspected"),
+    [
+        ("", "", "", ""),
+        ("a", "a", "a", ""),
+        ("a", "", "a", ""),
+        ("a", "a? b?", "a", ""),
+        ("a", "a? together?", "a", ""),
+        ("a", "b", "", "a b"),
+        ("a", "a zone", "a zone", ""),
+        ("a", "zone", "", "a zone"),
+        ("a", "b? zone?", "", "a b zone"),
+        ("a", "together", "", "a together"),
+        ("a", "outside", "a", ""),
+        ("", "zone", "zone", ""),
+        ("a? fouling?", "a", "", "a fouling"),
+        ("a? b?", "a", "a", ""),
+        ("fouling", "a", "", "a fouling"),
+        ("fouling", "zone", "", "zone fouling"),
+        ("outside", "zone", "", "zone outside"),
+        ("fouling", "", "fouling", ""),
+        ("fouling", "together", "fouling", ""),
+        ("fouling", "zone? together?", "fouling", ""),
+        ("fouling", "a? b?", "", "a b fouling"),
+        ("a? fouling?", "a? b?", "", "a"),
+        ("a? fouling?", "b? zone?", "", "a b zone fouling"),
+        ("a? fouling?", "together", "", "a fouling together"),
+        ("", "together", "together", ""),
+        ("outside", "together", "together", ""),
+        ("outside", "", "outside", ""),
+        ("", "outside", "outside", ""),
+    ],
+)
+def test_what_both_say_together(model: str, monitor: str, holds: str, suspected: str) -> None:
+    found, suspect = merged(said(model, "a b"), said(monitor, "a b zone"), held("outside"))
+    np.testing.assert_array_equal(found, held(holds))
+    np.testing.assert_array_equal(suspect, held(suspected))
+
+
+def test_two_that_each_only_one_can_judge_are_two_faults() -> None:
+    found, suspect = merged(said("a", "a b"), said("zone", "b zone"), held("outside"))
+    np.testing.assert_array_equal(found, held("a zone"))
+    assert not suspect.any()
+
+
+def test_a_further_channel_has_a_name_of_its_own() -> None:
+    for name in (PLANT.sensor_names[0], PLANT.inputs[0].name):
+        with pytest.raises(ValueError, match=f"sensors, inputs and further channels of plant 'two-tanks'.*{name}"):
+            with_further(PLANT, (Signal(name),))
+    with pytest.raises(ValueError, match="further channels are judged beside 'frozen-model', not 'robust-glr'; leave detector"):
+        tune(PLANT, recorded(1), further=FURTHER, detector="robust-glr")
+    assert with_further(PLANT, ()) is PLANT and with_further(PLANT, FURTHER).modelled == N
+
+
+def test_both_are_learnt_and_the_rate_is_shared() -> None:
+    found, built = tuned(), tuned().detector(PLANT)
+    assert isinstance(built, ModelAndMonitor) and built.plant.sensor_names[N:] == tuple(s.name for s in FURTHER)
+    assert str(found.rate) == "0.01" and built.model.fitted_rate == 0.005
+    assert found.monitor is not None and found.monitor.rate.count == 0.005
+    assert "monitor: lamp never moved when healthy; any other reading is reported" in found.quality["remarks"]
+    assert "half the monitor's, of its sensors and 3 further channels" in as_text(found)
+
+
+def test_a_fault_of_either_is_found_by_rows_and_at_once(tmp_path: Path) -> None:
+    tuned().write(tmp_path / "tuned.toml")
+    built = Tuned.read(tmp_path / "tuned.toml").detector(PLANT)
+    log = with_bias(recorded(2, 240), N, slice(100, 130), 6.0)
+    log = with_bias(log, 1, slice(180, 240), 12 * PLANT.sensor_sigma[1])
+    log = log.rows(np.r_[:60, 70:240])  # with a gap
+    log.y[40:43] = np.nan
+    whole = detector(built).diagnose(log)
+    state, rows = built.init((), 0.0), []
+    track, _ = bridged(built.plant, log)
+    at_once = built.steps(state, track.t, track.y, track.u)
+    assert at_once is not None
+    for t, y, u in zip(track.t.tolist(), track.y, track.u, strict=True):
+        state, decision = built.step(state, t, y, u)
+        rows.append(decision)
+    for own in fields(by_rows := stack(rows)):
+        one, two = (getattr(d, own.name) for d in (by_rows, at_once[1]))
+        if one is not None:  # products of other shapes round differently
+            np.testing.assert_allclose(one, two, rtol=1e-9, atol=1e-9, err_msg=own.name)
+    after, ahead = (built.step(s, float(track.t[-1]) + PLANT.dt, log.y[-1], log.u[-1])[1] for s in (state, at_once[0]))
+    np.testing.assert_array_equal(after.isolated, ahead.isolated)
+    names = [e.hypothesis for e in whole.events if e.kind == "sensor"]
+    assert "scale" in names and PLANT.sensor_names[1] in names
+    assert whole.health is not None and whole.health.sensors == N
