@@ -27,17 +27,16 @@ Array = NDArray[Any]
 
 PLANT = tanks()
 N = len(PLANT.sensors)
-FURTHER = (Signal("scale", "kg"), Signal("probe", "m"), Signal("lamp", "1"))
+FURTHER = (Signal("scale", "kg"), Signal("both", "kg"), Signal("lamp", "1"))
 
 
 @cache
 def recorded(seed: int, steps: int = 900) -> Log:
-    """A scale below a tank and a second probe, and a lamp that is always on."""
+    """A scale below a tank, one below both, and a lamp that is always on."""
     found = simulate(PLANT, steps, [seed], process_noise=True)
     rng, y = np.random.default_rng(seed), found.y[:, 0]
-    slow = np.sin(found.t / 700.0 + seed)
-    more = np.stack([40 * y[:, 0] + 5 * slow, y[:, 1] + 0.02 * slow, np.ones(steps)], axis=1)
-    return Log(found.t, np.concatenate([y, more + rng.standard_normal(more.shape) * [0.1, 0.002, 0.0]], axis=1), found.u)
+    more = np.stack([40 * y[:, 0], 25 * (y[:, 0] + y[:, 1]), np.ones(steps)], axis=1)
+    return Log(found.t, np.concatenate([y, more + rng.standard_normal(more.shape) * [0.1, 0.1, 0.0]], axis=1), found.u)
 
 
 @cache
@@ -134,9 +133,9 @@ def test_both_are_learnt_and_the_rate_is_shared() -> None:
 def test_a_fault_of_either_is_found_by_rows_and_at_once(tmp_path: Path) -> None:
     tuned().write(tmp_path / "tuned.toml")
     built = Tuned.read(tmp_path / "tuned.toml").detector(PLANT)
-    log = with_bias(recorded(2, 240), N, slice(100, 130), 6.0)
-    log = with_bias(log, 1, slice(180, 240), 12 * PLANT.sensor_sigma[1])
-    log = log.rows(np.r_[:60, 70:240])  # with a gap
+    log = with_bias(recorded(2, 160), N, slice(60, 90), 6.0)
+    log = with_bias(log, 1, slice(120, 160), 12 * PLANT.sensor_sigma[1])
+    log = log.rows(np.r_[:50, 55:160])  # with a gap
     log.y[40:43] = np.nan
     whole = detector(built).diagnose(log)
     state, rows = built.init((), 0.0), []

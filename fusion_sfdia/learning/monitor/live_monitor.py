@@ -113,8 +113,8 @@ class LiveMonitor(Claims):
         return self._stepped(state, t, np.concatenate([y, u]))
 
     def steps(self, state: State, t: Array, y: Array, u: Array) -> tuple[State, Decision] | None:
-        """Judge rows at t (K,) at once, to rounding as `step` does; None where some have gone before, or several are at one step
-        of the grid.
+        """Judge rows at t (K,) at once, to rounding as `step` does; None where rows have gone before, or several are at one
+        step of the grid.
         """
         at = np.rint((t - t[0]) / self.dt).astype(int)
         if not np.isnan(state.memory.start) or np.any(np.diff(at) < 1):
