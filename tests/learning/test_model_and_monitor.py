@@ -13,12 +13,16 @@ from numpy.typing import NDArray
 from toy_plants import tanks
 
 from fusion_sfdia.detectors.detector import stack
+from fusion_sfdia.detectors.verdicts import Verdict
 from fusion_sfdia.diagnoser import detector
 from fusion_sfdia.diagnosis.simulate import simulate
+from fusion_sfdia.diagnosis.watch import Watch
+from fusion_sfdia.learning.frozen_model.frozen_bank import FrozenBank
 from fusion_sfdia.learning.model_and_monitor import ModelAndMonitor, Said, merged, with_further
 from fusion_sfdia.learning.tuning.tune import tune
 from fusion_sfdia.learning.tuning.tuned import Tuned
 from fusion_sfdia.learning.tuning.words import as_text
+from fusion_sfdia.logs.reading import load_log
 from fusion_sfdia.plant.gaps import bridged
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.signals import Signal
@@ -154,3 +158,51 @@ def test_a_fault_of_either_is_found_by_rows_and_at_once(tmp_path: Path) -> None:
     names = [e.hypothesis for e in whole.events if e.kind == "sensor"]
     assert "scale" in names and PLANT.sensor_names[1] in names
     assert whole.health is not None and whole.health.sensors == N
+
+
+def test_a_watch_goes_on_from_its_state_and_anew_after_a_long_gap(tmp_path: Path) -> None:
+    built, log = tuned().detector(PLANT), with_bias(recorded(2, 100), N, slice(60, 90), 6.0)
+
+    def watched(watch: Watch, rows: Log) -> list[str]:
+        found = [s for t, y, u in zip(*rows, strict=True) for s in watch.update(t, y, u)]
+        return [str(s.verdict) for s in (*found, *watch.finish())]
+
+    first, last = log.rows(slice(70)), log.rows(slice(70, None))
+    before = watched(watch := Watch(built), first)
+    assert {*before[:55]} == {str(Verdict.HEALTHY)} and before[-1] == str(Verdict.SENSOR)
+    watch.save(tmp_path / "watch.state")
+    later = last._replace(t=last.t + 100_000.0)
+    anew = watched(Watch(built), later)
+    on, after_gap = (Watch.load(tmp_path / "watch.state", built, longest_gap=1000.0) for _ in range(2))
+    assert watched(on, last)[:15] == [str(Verdict.SENSOR)] * 15 and watched(after_gap, later) == anew
+
+
+def test_a_file_and_its_monitor_fit(tmp_path: Path) -> None:
+    tuned().write(path := tmp_path / "tuned.toml")
+    text = path.read_text()
+    for old, new, error in (
+        ("both = {", "twin = {", "its monitor is of the sensors .*'both'.*, the file of .*'twin'.*; tune again"),
+        ('monitor = "tuned.sfdia"\n', "", "it has the further channels 'scale', 'both', 'lamp' and names no monitor of them"),
+        ("tuned.sfdia", "other.toml", r"monitor is 'other.toml'; expected the name of a file .sfdia in the same folder"),
+        ("tuned.sfdia", "other.sfdia", "other.sfdia cannot be read"),
+    ):
+        path.write_text(text.replace(old, new))
+        with pytest.raises(ValueError, match=error):
+            Tuned.read(path)
+    path.write_text(text)
+    assert Tuned.read(path).logged_plant(PLANT).sensor_names[N:] == ("scale", "both", "lamp")
+    assert isinstance(Tuned.read(path).model_detector(PLANT), FrozenBank)
+
+
+def test_a_log_without_a_further_channel_is_refused_or_judged_by_the_others() -> None:
+    pandas = pytest.importorskip("pandas")
+    built, log = tuned().detector(PLANT), recorded(2, 100)
+    frame = pandas.DataFrame(np.column_stack([log.t, log.y, log.u]))
+    frame.columns = ["time", *built.plant.sensor_names, *(s.name for s in PLANT.inputs)]
+    assert detector(built).diagnose(frame).state is Verdict.HEALTHY
+    with pytest.raises(ValueError, match="no column for the sensors 'both' of plant 'two-tanks'"):
+        detector(built).diagnose(frame.drop(columns="both"))
+    read = load_log(frame.drop(columns="both"), built.plant, absent_sensors=True)
+    assert [e.hypothesis for e in detector(built).diagnose(read).events if e.kind == "sensor"] == []
+    moved = frame.assign(lamp=2.0)
+    assert [e.hypothesis for e in detector(built).diagnose(moved).events][:1] == ["lamp (never moved when healthy)"]
