@@ -25,6 +25,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property, partial
+from itertools import count
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -68,11 +69,11 @@ def with_further(plant: Plant, further: tuple[Signal, ...], sigma: Array | None 
     )
 
 
-def _padded(function: OutputFunction | StepFunction, count: int, axis: int, *arguments: Any) -> Array:
+def _padded(function: OutputFunction | StepFunction, more: int, axis: int, *arguments: Any) -> Array:
     """What a function of readings gives, with zeros for so many more."""
     found = np.asarray(function(*arguments))
     shape = list(found.shape)
-    shape[axis] = count
+    shape[axis] = more
     return np.concatenate([found, np.zeros(shape, found.dtype)], axis=axis)
 
 
@@ -170,13 +171,11 @@ class ModelAndMonitor(Claims):
     @cached_property
     def _places(self) -> tuple[Array, Array]:
         """The place of each sensor and process hypothesis of the model, and of the monitor, among all."""
-        every = [*self.hypotheses, *(h.name for h in self.process_hypotheses)]
-        both = (self.model, self.monitor)
-        names = (
-            [*d.hypotheses, *(OUTSIDE.name if h.kind == "outside" else h.name for h in d.process_hypotheses)] for d in both
-        )
-        of_model, of_monitor = (np.array([every.index(name) for name in own]) for own in names)
-        return of_model, of_monitor
+        sensors, own, known = len(self.hypotheses), len(self.model.hypotheses), self.model.process_hypotheses
+        outside, others = sensors + known.index(OUTSIDE), count(sensors + len(known))
+        of_monitor = [outside if h.kind == "outside" else next(others) for h in self.monitor.process_hypotheses]
+        of_model = np.concatenate([np.arange(own), sensors + np.arange(len(known))])
+        return of_model, np.concatenate([np.arange(sensors), of_monitor])
 
     @cached_property
     def _kinds(self) -> dict[str, Array]:
@@ -194,8 +193,8 @@ class ModelAndMonitor(Claims):
         """Of all sensors and process hypotheses (H,) what holds in one run, with size and sd, and what is suspected."""
         assert decision.process is not None and decision.process_size is not None
         assert decision.process_sd is not None and decision.suspect is not None
-        count = self._kinds["sensor"].size
-        held, suspect, size, sd = np.zeros(count, bool), np.zeros(count, bool), np.full(count, np.nan), np.full(count, np.nan)
+        every = self._kinds["sensor"].size
+        held, suspect, size, sd = np.zeros(every, bool), np.zeros(every, bool), np.full(every, np.nan), np.full(every, np.nan)
         held[places] = np.concatenate([decision.isolated, decision.process])
         size[places] = np.concatenate([decision.fault_size, decision.process_size])
         sd[places] = np.concatenate([np.full(decision.isolated.size, np.nan), decision.process_sd])

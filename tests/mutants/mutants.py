@@ -1142,4 +1142,25 @@ MUTANTS = (
         "bool(self._hypotheses.added)",
         "tests/detectors/kalman_banks/test_faults_since_start.py::test_where_sensors_have_been_seen_to_fit_a_fault_since_the_first_row_is_one_of_the_sensor",
     ),
+    Mutant(
+        "fusion_sfdia/learning/model_and_monitor.py",
+        "undecided or other.process.any()",
+        "other.process.any()",
+        "tests/learning/test_model_and_monitor.py::test_what_both_say_together",
+        quick=True,
+    ),
+    Mutant(
+        "fusion_sfdia/learning/model_and_monitor.py",
+        "(outside & extrapolates)",
+        "outside",
+        "tests/learning/test_model_and_monitor.py::test_what_both_say_together",
+        quick=True,
+    ),
+    Mutant(
+        "fusion_sfdia/learning/model_and_monitor.py",
+        "(agreed if agreed.any() else suspect) | process",
+        "suspect | process",
+        "tests/learning/test_model_and_monitor.py::test_what_both_say_together",
+        quick=True,
+    ),
 )
