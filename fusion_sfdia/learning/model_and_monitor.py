@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.common.arguments import require_unique
 from fusion_sfdia.detectors.detector import Claims, Decision, ProcessHypothesis, chosen, stack
 from fusion_sfdia.detectors.state import State
-from fusion_sfdia.learning.frozen_model.frozen_bank import OUTSIDE, FrozenBank, shares_of_right
+from fusion_sfdia.learning.frozen_model.frozen_bank import FrozenBank, shares_of_right
 from fusion_sfdia.learning.monitor.channels import deviations
 from fusion_sfdia.learning.monitor.live_monitor import LiveMonitor
 from fusion_sfdia.learning.monitor.row_verdicts import BRIEF, CLEAR, DROPOUT, FREEZE
@@ -172,7 +172,7 @@ class ModelAndMonitor(Claims):
     def _places(self) -> tuple[Array, Array]:
         """The place of each sensor and process hypothesis of the model, and of the monitor, among all."""
         sensors, own, known = len(self.hypotheses), len(self.model.hypotheses), self.model.process_hypotheses
-        outside, others = sensors + known.index(OUTSIDE), count(sensors + len(known))
+        outside, others = sensors + [h.kind for h in known].index("outside"), count(sensors + len(known))
         of_monitor = [outside if h.kind == "outside" else next(others) for h in self.monitor.process_hypotheses]
         of_model = np.concatenate([np.arange(own), sensors + np.arange(len(known))])
         return of_model, np.concatenate([np.arange(sensors), of_monitor])

@@ -183,7 +183,8 @@ def test_a_file_and_its_monitor_fit(tmp_path: Path) -> None:
     for old, new, error in (
         ("both = {", "twin = {", "its monitor is of the sensors .*'both'.*, the file of .*'twin'.*; tune again"),
         ('monitor = "tuned.sfdia"\n', "", "it has the further channels 'scale', 'both', 'lamp' and names no monitor of them"),
-        ("tuned.sfdia", "other.toml", r"monitor is 'other.toml'; expected the name of a file .sfdia in the same folder"),
+        ("tuned.sfdia", "other.toml", r"monitor is 'other.toml'; expected the name of an .sfdia file in the same folder"),
+        ("tuned.sfdia", "../tuned.sfdia", r"monitor is '../tuned.sfdia'; expected the name of an .sfdia file in the same"),
         ("tuned.sfdia", "other.sfdia", "other.sfdia cannot be read"),
     ):
         path.write_text(text.replace(old, new))

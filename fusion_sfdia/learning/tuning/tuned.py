@@ -322,7 +322,7 @@ def _beside(path: Path, of: Mapping[str, Any], what: str, suffix: str) -> Path |
     """The file that a tuned file names beside itself, None where it names none."""
     name = of.get(what)
     if name is not None and not (isinstance(name, str) and re.fullmatch(rf"[^/\\:]+\{suffix}", name)):
-        raise ValueError(f"{path}: {what} is {shown(name)}; expected the name of a file {suffix} in the same folder")
+        raise ValueError(f"{path}: {what} is {shown(name)}; expected the name of an {suffix} file in the same folder")
     return None if name is None else path.parent / name
 
 
