@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from further_channels import TANKS, signals, wider
 from numpy.typing import NDArray
 from toy_plants import tanks
+from wrong_laws import DT, drift, tank_cascade
 
 from fusion_sfdia.detectors.detector import stack
 from fusion_sfdia.detectors.verdicts import Verdict
@@ -207,3 +209,31 @@ def test_a_log_without_a_further_channel_is_refused_or_judged_by_the_others() ->
     assert [e.hypothesis for e in detector(built).diagnose(read).events if e.kind == "sensor"] == []
     moved = frame.assign(lamp=2.0)
     assert [e.hypothesis for e in detector(built).diagnose(moved).events][:1] == ["lamp (never moved when healthy)"]
+
+
+@pytest.mark.long
+def test_both_find_what_the_model_cannot_and_name_no_sensor_for_a_changed_process() -> None:
+    base = tank_cascade()
+    law, own = wider(base, TANKS), len(base.sensors)
+    built = tune(base.plant(), law.record(3, 301, building=3), further=signals(law), false_alarm=0.01).detector(base.plant())
+    count, further, outlet = len(law.sensors), law.sensors[own].name, 2
+
+    def narrower(t: Array) -> Array:
+        factor = np.ones((t.size, len(base.parameters)))
+        factor[:, outlet] = 1 - 0.15 * np.clip((t / DT - 200) / 100, 0, 1)
+        return factor
+
+    cases = {"bias": {"bias": drift(own, count, 200 * DT, 1, 8.0, 10_000)}, "process": {"change": narrower}}
+    found = {}
+    for k, (name, fault) in enumerate(cases.items()):
+        log = law.record(0.3, 310 + k, building=3, **fault)
+        decided = built.steps(built.init((), 0.0), log.t, log.y, log.u)
+        assert decided is not None
+        found[name] = decided[1]
+    names = np.array(built.hypotheses)
+    assert not found["bias"].isolated[60:200].any()
+    assert np.mean(found["bias"].isolated[220:, own]) > 0.9 and not found["bias"].isolated[220:, names != further].any()
+    process = found["process"]
+    assert process.process is not None and process.suspect is not None
+    assert np.mean(process.isolated[220:].any(axis=1)) < 0.05
+    assert np.mean((process.process | process.suspect[:, count:])[300:].any(axis=1)) > 0.5
