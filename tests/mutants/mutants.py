@@ -1147,20 +1147,17 @@ MUTANTS = (
         "undecided or other.process.any()",
         "other.process.any()",
         "tests/learning/test_model_and_monitor.py::test_what_both_say_together",
-        quick=True,
     ),
     Mutant(
         "fusion_sfdia/learning/model_and_monitor.py",
         "(outside & extrapolates)",
         "outside",
         "tests/learning/test_model_and_monitor.py::test_what_both_say_together",
-        quick=True,
     ),
     Mutant(
         "fusion_sfdia/learning/model_and_monitor.py",
         "(agreed if agreed.any() else suspect) | process",
         "suspect | process",
         "tests/learning/test_model_and_monitor.py::test_what_both_say_together",
-        quick=True,
     ),
 )
