@@ -29,6 +29,7 @@ WORSE = 2.0  # times as far off as it disagrees with others of its quantity: a s
 EVIDENCE = 0.6  # difference of squares of two of one quantity, in limits: likelihoods above 100 to 1 where limits are 4 sd
 QUIET = 0.5  # of how far a reading is off, in limits, up to which others that its input drives have not moved with it
 HOLD = 4  # windows of the scale that saw it, for which a process verdict keeps sensors from being named
+BEGUN = 0.75  # of a limit, which is 4 standard deviations: by so much a shorter window exceeds one that began before the fault
 LASTS = 1024  # rows after a step in which it decides: the longest window
 REST = 16  # rows without trouble after which it is over
 
@@ -110,9 +111,11 @@ def causes(learnt: LearntLimits, found: Judged, driven: Array, before: Trouble) 
         _by_same(learnt, found, rows, (left, nov), (same[rows], apart[rows]), (kind, named, suspect, proven))
         stepped = np.zeros(named.shape, bool)
         stepped[:, :n] = off != 0
-        _sizes(learnt, found, rows, ratio[:, rows], named | suspect | stepped, size)
+        most, whole = _scales(learnt, ratio[:, rows])
+        _sizes(learnt, found, rows, most, (named | suspect | stepped)[rows, :n], size)
         _agreeing(learnt, found, rows, ratio[:, rows], (kind, named, suspect, proven, size))
         _words(learnt, found, rows, (ratio[:, rows], driven), (kind, named, suspect, proven))
+        _sizes(learnt, found, rows, whole, (whole != most) & (named | suspect)[rows, :n], size)
     named[:, :n] |= found.stopped
     kind[found.stopped.any(axis=1) & (kind == OK)] = SENSOR
     kind[found.together] = RECORDER
@@ -317,20 +320,37 @@ def _two(
     return None
 
 
-def _sizes(learnt: LearntLimits, found: Judged, rows: Array, ratio: Array, named: Array, size: Array) -> None:
-    """By how much the named sensors are off: the level at the scale that shows it most, without the other named ones."""
-    tests = learnt.limits.tests
+def _sizes(
+    learnt: LearntLimits, found: Judged, rows: Array, scales: Array, wanted: Array, size: Array
+) -> None:  # fmt: skip
+    """By how much wanted sensors (R, N) are off in rows: their level over windows of so many rows, scales (R, N)."""
     n = size.shape[1]
-    levels = [k for k, t in enumerate(tests) if t.kind == "level"]
-    best = np.array([tests[k].scale for k in levels])[np.argmax(ratio[levels], axis=0)]  # (R, N)
     for scale in (s for s in learnt.model if s.w in found.means):
-        some = named[rows][:, :n] & (best == scale.w)
+        some = wanted & (scales == scale.w)
         own = np.flatnonzero(some.any(axis=1))
         if own.size:
-            means = found.means[scale.w].at(rows[own])._replace(quarter=None)
-            e = level_errors(scale, means, n)
+            e = level_errors(scale, found.means[scale.w].at(rows[own])._replace(quarter=None), n)
             at = rows[own]
             size[at] = np.where(some[own], e.level * e.wider, size[at])
+
+
+def _scales(learnt: LearntLimits, ratio: Array) -> tuple[Array, Array]:
+    """The windows (R, N) whose level shows most how far a sensor is off, ratio (T, R, N), and those that show how far it is.
+
+    A window that began before the fault shows only a part of it. So of the first and shorter ones it is the longest that no
+    shorter one exceeds by more than `BEGUN` of its limit.
+    """
+    levels = sorted(
+        (k for k, t in enumerate(learnt.limits.tests) if t.kind == "level"), key=lambda k: learnt.limits.tests[k].scale
+    )
+    of = np.array([learnt.limits.tests[k].scale for k in levels])
+    limit = learnt.limits.limit[levels][:, None]
+    level = ratio[levels] * limit
+    exceeded = np.maximum.accumulate(level - BEGUN * limit, axis=0)
+    whole = np.concatenate([np.ones((1, *level.shape[1:]), bool), level[1:] >= exceeded[:-1]])
+    most = np.argmax(ratio[levels], axis=0)
+    until = np.arange(len(of))[:, None, None] <= most
+    return of[most], of[len(of) - 1 - np.argmax((whole & until)[::-1], axis=0)]
 
 
 def _words(
