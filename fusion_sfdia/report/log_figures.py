@@ -156,10 +156,11 @@ def near(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event], poin
     i, t, at = shown_sensor(plant, found, events), found.t, time_axis(found)
     a, b, margin = _extent(t, events)
     window = slice(max(0, a - margin), min(len(t), b + margin + 1))
+    predicted = is_predicted(found, i)
     error, usual = (v[window] for v in _differences(found, i))
     reading, unit = y[window, i], plant.sensors[i].unit
     expected = found.decisions.reconstruction[window, i]
-    if found.after is not None:
+    if predicted:
         expected = np.where(np.isfinite(error), reading - error, expected)
     else:
         expected = np.where(expected == reading, np.nan, expected)  # only what replaces a reading
@@ -174,14 +175,14 @@ def near(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event], poin
     each = [v[shown] for v in (expected - 2 * sd, expected + 2 * sd, expected, reading, error, usual)]
     times, (low, high, middle, read, difference, limit) = broken(t[window][shown], each, found.gaps)
     x, step, word, colour = at(times), _step(t), KINDS[events[0].kind].word, COLOUR[events[0].kind]
-    if found.after is not None:
+    if predicted:
         upper.fill_between(x, low, high, color=COLOURS[2], alpha=0.25, lw=0, label="expected range (95 %)")
     dots = {"color": COLOURS[0], "markersize": 3, "linewidth": 0.8}
-    replaces = "expected" if found.after is not None else "reconstructed"
+    replaces = "expected" if predicted else "reconstructed"
     if np.any(np.isfinite(middle)):
         upper.plot(x, middle, color=COLOURS[2], linewidth=1.2, label=replaces, gid=replaces)
     upper.plot(x, read, line, **dots, label="reading", gid="reading")
-    lower.plot(x, difference, line, **dots, gid="difference" if found.after is not None else "over its limit")
+    lower.plot(x, difference, line, **dots, gid="difference" if predicted else "over its limit")
     lower.fill_between(x, -limit, limit, color="0.85", lw=0, zorder=0)
     spans = [(float(at(e.start)), float(at(e.end + step))) for e in events]
     for axes in (upper, lower):
@@ -189,7 +190,7 @@ def near(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event], poin
     _strip(strip, found, rows, inside, ends)
     name = fill(plant.sensor_names[i], WIDE)
     upper.set_ylabel(with_brackets(name, unit, " " if len(name) + len(unit) < WIDE else "\n"))
-    lower.set_ylabel(with_brackets("difference", unit, "\n") if found.after is not None else "over its\nlimit")
+    lower.set_ylabel(with_brackets("difference", unit, "\n") if predicted else "over its\nlimit")
     strip.set_xlim(float(x[0]), float(at(t[window][-1] + step)))
     at.label_on(strip)
     figure.legend(*upper.get_legend_handles_labels(), loc="outside upper left", ncols=4, fontsize=7, columnspacing=1.0)
@@ -228,11 +229,16 @@ def shown_sensor(plant: Plant, found: Diagnosis, events: Sequence[Event]) -> int
     return own[int(np.argmax(off))]
 
 
+def is_predicted(found: Diagnosis, i: int) -> bool:
+    """Whether a second look has predicted readings of a sensor: not of one of which the model predicts nothing."""
+    return found.after is not None and bool(np.isfinite(found.after.error[:, i]).any())
+
+
 def _differences(found: Diagnosis, i: int) -> tuple[Array, Array]:
     """Of a sensor how far its readings are from what is expected (K,), and how far is usual: USUAL standard deviations of the
     second look. Without that the detector's residual over its threshold, and 1.
     """
-    if found.after is not None:
+    if found.after is not None and is_predicted(found, i):
         return found.after.error[:, i], USUAL * found.after.sd[:, i]
     with np.errstate(divide="ignore", invalid="ignore"):
         over = found.decisions.residual[:, i] / found.decisions.threshold[:, i]

@@ -24,7 +24,7 @@ from fusion_sfdia.diagnosis.events import Event
 from fusion_sfdia.diagnosis.sentences import KINDS, Words, alike, confidence_of, kind_of, others_of, size_of
 from fusion_sfdia.plant.plant import Plant
 from fusion_sfdia.report.figure_files import figure_svg
-from fusion_sfdia.report.log_figures import LONGEST, near, overview, short, time_line
+from fusion_sfdia.report.log_figures import LONGEST, is_predicted, near, overview, short, shown_sensor, time_line
 from fusion_sfdia.report.on_screen import on_screen
 from fusion_sfdia.report.page import inline, page_environment, part
 from fusion_sfdia.report.plots import panels
@@ -114,7 +114,8 @@ def findings_of(
     for k, own in enumerate(sorted(groups, key=lambda own: open_first and not any(e.open for e in own))):
         figure, title = None, _title(found, own)
         if k < figures:
-            figure = _drawn(found, f"f{k}", title, partial(near, plant, y, found, own, points), _caption(found, own))
+            caption = _caption(own, is_predicted(found, shown_sensor(plant, found, own)))
+            figure = _drawn(found, f"f{k}", title, partial(near, plant, y, found, own, points), caption)
         findings.append(_finding(found, own, rows) | {"number": k + 1, "title": title, "figure": figure})
     return findings
 
@@ -156,12 +157,12 @@ def _title(found: Diagnosis, own: Sequence[Event]) -> str:
     return f"{name}: {e.fault or KINDS[e.kind].word}" if e.kind != "undecided" else "Undecided"
 
 
-def _caption(found: Diagnosis, own: Sequence[Event]) -> str:
-    """What the picture shows beside what its legend states."""
+def _caption(own: Sequence[Event], predicted: bool) -> str:
+    """What the picture of a finding shows beside what its legend states; predicted: see `is_predicted`."""
     which = "the readings" if own[0].kind == "sensor" else "the readings furthest from what is expected"
     when = " at the first of these times" if len(own) > 1 else ""
     off = "their difference from what is expected (grey: the usual range)"
-    if found.after is None:
+    if not predicted:
         off = "how far they are off, over the limit of an alarm (grey: below it)"
     return f"Top: {which}{when}. Middle: {off}. Bottom: what was found."
 

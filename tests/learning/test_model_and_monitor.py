@@ -28,6 +28,7 @@ from fusion_sfdia.logs.reading import load_log
 from fusion_sfdia.plant.gaps import bridged
 from fusion_sfdia.plant.log import Log
 from fusion_sfdia.plant.signals import Signal
+from fusion_sfdia.report.log_figures import near
 
 Array = NDArray[Any]
 
@@ -157,8 +158,12 @@ def test_a_fault_of_either_is_found_by_rows_and_at_once(tmp_path: Path) -> None:
             np.testing.assert_allclose(one, two, rtol=1e-9, atol=1e-9, err_msg=own.name)
     after, ahead = (built.step(s, float(track.t[-1]) + PLANT.dt, log.y[-1], log.u[-1])[1] for s in (state, at_once[0]))
     np.testing.assert_array_equal(after.isolated, ahead.isolated)
-    names = [e.hypothesis for e in whole.events if e.kind == "sensor"]
-    assert "scale" in names and PLANT.sensor_names[1] in names
+    named = {e.hypothesis: e for e in whole.events if e.kind == "sensor"}
+    assert {"scale", PLANT.sensor_names[1]} <= set(named)
+    assert named["scale"].size == pytest.approx(6.0, rel=0.1)
+    for name, label in (("scale", "over its"), (PLANT.sensor_names[1], "difference")):
+        lower = near(built.plant, log.y, whole, [named[name]]).axes[1]
+        assert lower.get_ylabel().startswith(label) and np.isfinite(lower.lines[0].get_ydata()).any()
     assert whole.health is not None and whole.health.sensors == N
 
 

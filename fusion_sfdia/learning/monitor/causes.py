@@ -29,7 +29,7 @@ WORSE = 2.0  # times as far off as it disagrees with others of its quantity: a s
 EVIDENCE = 0.6  # difference of squares of two of one quantity, in limits: likelihoods above 100 to 1 where limits are 4 sd
 QUIET = 0.5  # of how far a reading is off, in limits, up to which others that its input drives have not moved with it
 HOLD = 4  # windows of the scale that saw it, for which a process verdict keeps sensors from being named
-BEGUN = 0.75  # of a limit, which is 4 standard deviations: by so much a shorter window exceeds one that began before the fault
+PART = 0.75  # of a limit, some 4 standard deviations: by so much a shorter window exceeds one that shows a part of a fault
 LASTS = 1024  # rows after a step in which it decides: the longest window
 REST = 16  # rows without trouble after which it is over
 
@@ -320,9 +320,7 @@ def _two(
     return None
 
 
-def _sizes(
-    learnt: LearntLimits, found: Judged, rows: Array, scales: Array, wanted: Array, size: Array
-) -> None:  # fmt: skip
+def _sizes(learnt: LearntLimits, found: Judged, rows: Array, scales: Array, wanted: Array, size: Array) -> None:
     """By how much wanted sensors (R, N) are off in rows: their level over windows of so many rows, scales (R, N)."""
     n = size.shape[1]
     for scale in (s for s in learnt.model if s.w in found.means):
@@ -337,8 +335,8 @@ def _sizes(
 def _scales(learnt: LearntLimits, ratio: Array) -> tuple[Array, Array]:
     """The windows (R, N) whose level shows most how far a sensor is off, ratio (T, R, N), and those that show how far it is.
 
-    A window that began before the fault shows only a part of it. So of the first and shorter ones it is the longest that no
-    shorter one exceeds by more than `BEGUN` of its limit.
+    A window that began before the fault shows only a part of it, and so does a long one of readings that are limited, see
+    `judged`. So of the first and shorter ones it is the longest that no shorter one exceeds by more than `PART` of its limit.
     """
     levels = sorted(
         (k for k, t in enumerate(learnt.limits.tests) if t.kind == "level"), key=lambda k: learnt.limits.tests[k].scale
@@ -346,7 +344,7 @@ def _scales(learnt: LearntLimits, ratio: Array) -> tuple[Array, Array]:
     of = np.array([learnt.limits.tests[k].scale for k in levels])
     limit = learnt.limits.limit[levels][:, None]
     level = ratio[levels] * limit
-    exceeded = np.maximum.accumulate(level - BEGUN * limit, axis=0)
+    exceeded = np.maximum.accumulate(level - PART * limit, axis=0)
     whole = np.concatenate([np.ones((1, *level.shape[1:]), bool), level[1:] >= exceeded[:-1]])
     most = np.argmax(ratio[levels], axis=0)
     until = np.arange(len(of))[:, None, None] <= most
