@@ -16,7 +16,8 @@ Array = NDArray[Any]
 
 FEWEST = 5  # runs of equal readings, or changes, from which a regularity is known
 SEVERAL = 0.2  # share of changes by two steps of resolution and more, above which equal readings in a row mean a repeat
-OFTEN = 0.125  # share of the runs that have two readings and more, from which on a sensor repeats its value at times
+OFTEN = 0.2  # share of the runs that have two readings and more, from which on a sensor repeats its value at times
+OFTEN_IN_STEPS = 0.35  # the same of readings in steps, of which some are equal by chance
 BY_STEPS = 1.5  # times as many pauses as changes by one step: new readings of such noise have 0.8 times as many
 SPREAD = 6.0  # standard deviations of the lengths of runs, within which a run is a repeat
 LONGEST_PHASE = 60  # rows between new readings that are sought in a log with coarse readings
@@ -110,7 +111,7 @@ def repeats(lengths: Array, values: Array, changes: Array, step: float) -> bool:
     if not several or np.median(lengths) >= 2:
         return several
     again = lengths > 1
-    if np.mean(again) < OFTEN or np.unique(values[again]).size < FEWEST:
+    if np.mean(again) < (OFTEN if not step else OFTEN_IN_STEPS) or np.unique(values[again]).size < FEWEST:
         return False
     large, single = multiple >= 2, lengths == 1
     pauses = np.sum(large[:-1] & (lengths[1:] == 2) & large[1:])

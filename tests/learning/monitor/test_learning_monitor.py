@@ -106,11 +106,11 @@ def test_of_two_sensors_that_only_explain_each_other_it_is_one_or_the_other() ->
 
     monitor = Monitor.of_logs((*SENSORS, Signal("twin", "K")), [twins(1), twins(2)], inputs=[LOAD])
     t, y, u = twins(3)
-    y[500:800, 8] += 6.0
+    y[500:800, 8] += 2.0
     causes = monitor.judge(Log(t, y, u))[0].causes
     names = monitor.channels.names
     a, b = names.index("alone"), names.index("twin")
-    assert (causes.suspect[500:800, a] & causes.suspect[500:800, b]).mean() > 0.6
+    assert (causes.suspect[500:800, a] & causes.suspect[500:800, b]).mean() > 0.9
     assert causes.named[500:800, a].mean() < 0.03
 
 
