@@ -259,5 +259,5 @@ def draw_levels(rows: Sequence[Row], lines: Mapping[str, tuple[str, str]]) -> An
             errors = np.maximum([y - low_y, high_y - y], 0.0)
             axis.errorbar(x, y, errors, marker="o", markersize=4, capsize=2, label=name)
     axis.set(xlabel="confidence stated", ylabel="share that is right", xlim=(0, 1), ylim=(0, 1.02))
-    axis.legend(fontsize=7)
+    figure.legend(loc="outside right upper", fontsize=7)
     return figure
