@@ -81,7 +81,8 @@ REASONS = """### Why, where a limit is missed
   others contradict it. Once the gauge is out, what is left is explained by a narrower outlet, and the gauge is used again late.
 - **The pipeline's leak under AR(0.8), after a log with such noise.** One leak of four is named as `m_20`, the mass flow beside
   it, which is off by 9 standard deviations at once; without a log it is a leak.
-- **Delays on the engine after a log**: the heavy propeller is found after 32 rows in place of 27, fouling after 8.5 in place of 8.
+- **Delays on the engine after a log**: the heavy propeller is found after 32 rows in place of 27, fouling after 8.5 in
+  place of 8.
 - **The time of a step of the engine, one stream**: 1.47 on one day and 1.51 on another, at the limit.
 - **The network's input gain.** `omega_4` is isolated in the row of the change, and the estimate without it stays wrong, so that
   its own readings never readmit it.
