@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.plant.plant import Plant
-from fusion_sfdia.plant.regularity import FEWEST, of_lengths, repeats, step_of
+from fusion_sfdia.plant.regularity import FEWEST, of_lengths, repeats
 
 Array = NDArray[Any]
 
@@ -60,7 +60,7 @@ class SlowSensors:
             return
         lengths, changes, values = (kept[i, : min(k, KEPT)] for kept in of_run)
         self.longest[i] = 1
-        if not repeats(lengths, values, changes, step_of(changes)):
+        if not repeats(lengths, values, changes):
             return
         found = of_lengths(lengths)
         self.longest[i] = found.longest

@@ -90,28 +90,29 @@ def repeat(column: Array, step: float | None = None) -> Repeat | None:
     at, starts, lengths = equal_readings(column)
     if lengths.size < FEWEST + 2:
         return None
-    step = resolution(column) if step is None else step
-    if step and np.median(lengths[1:-1]) >= 2 and (found := _on_phase(starts[1:])) is not None:
+    step, inner, values = resolution(column) if step is None else step, lengths[1:-1], column[at[starts]]
+    if step and np.median(inner) >= 2 and (found := _on_phase(starts[1:])) is not None:
         return found
-    values = column[at[starts]]
-    changes = np.abs(np.diff(values))[1:]
-    again = repeats(lengths[1:-1], values[1:-1], changes, step or step_of(changes))
-    return of_lengths(lengths[1:-1]) if again else None
+    return of_lengths(inner) if repeats(inner, values[1:-1], np.abs(np.diff(values))[1:], step) else None
 
 
-def repeats(lengths: Array, values: Array, changes: Array, step: float) -> bool:
-    """Whether runs of equal readings (R,) of such values, which end with such changes, are repeats of one reading.
+def repeats(lengths: Array, values: Array, changes: Array, step: float = 0.0) -> bool:
+    """Whether runs of equal readings (R,) of such values, which end with such changes, are repeats of one reading; step: that
+    of the changes is used where it is 0.
 
     Without a step of resolution new readings are never equal. With one they are, where hardly any changes by more than a step.
     Where less than half of the runs have two readings or more, these are of several values, not of the end of a range; and
     where there is a step, more readings pause between two changes by several steps than change by one step there.
     """
+    again = lengths > 1
+    if np.mean(again) < OFTEN:
+        return False
+    step = step or step_of(changes)
     multiple = np.rint(changes / step) if step else changes
     several = not step or bool(np.mean(multiple >= 2) >= SEVERAL)
     if not several or np.median(lengths) >= 2:
         return several
-    again = lengths > 1
-    if np.mean(again) < (OFTEN if not step else OFTEN_IN_STEPS) or np.unique(values[again]).size < FEWEST:
+    if (step and np.mean(again) < OFTEN_IN_STEPS) or np.unique(values[again]).size < FEWEST:
         return False
     large, single = multiple >= 2, lengths == 1
     pauses = np.sum(large[:-1] & (lengths[1:] == 2) & large[1:])
