@@ -109,11 +109,9 @@ def causes(learnt: LearntLimits, found: Judged, driven: Array, before: Trouble) 
     if rows.size:
         left, nov = _explain(learnt, found, ratio[:, rows], rows, (kind, named, suspect))
         _by_same(learnt, found, rows, (left, nov), (same[rows], apart[rows]), (kind, named, suspect, proven))
-        stepped = np.zeros(named.shape, bool)
-        stepped[:, :n] = off != 0
         most, whole = _scales(learnt, ratio[:, rows])
-        _sizes(learnt, found, rows, most, (named | suspect | stepped)[rows, :n], size)
-        _agreeing(learnt, found, rows, ratio[:, rows], (kind, named, suspect, proven, size))
+        _sizes(learnt, found, rows, most, (named | suspect)[rows, :n] | (off[rows] != 0), size)
+        _agreeing(learnt, found, rows, (ratio[:, rows], most), (kind, named, suspect, proven, size))
         _words(learnt, found, rows, (ratio[:, rows], driven), (kind, named, suspect, proven))
         _sizes(learnt, found, rows, whole, (whole != most) & (named | suspect)[rows, :n], size)
     named[:, :n] |= found.stopped
@@ -237,18 +235,20 @@ def _by_same(
 
 
 def _agreeing(
-    learnt: LearntLimits, found: Judged, rows: Array, ratio: Array, into: tuple[Array, Array, Array, Array, Array]
-) -> None:
-    """A sensor whose level is off, and that agrees with others of its quantity, is not wrong: the quantity has moved."""
-    kind, named, suspect, proven, size = into
+    learnt: LearntLimits, found: Judged, rows: Array, of_rows: tuple[Array, Array],
+    into: tuple[Array, Array, Array, Array, Array],
+) -> None:  # fmt: skip
+    """A sensor whose level is off, and that agrees with others of its quantity, is not wrong: the quantity has moved.
+
+    of_rows: ratios (T, R, N), and the windows (R, N) whose level shows most.
+    """
+    (ratio, most), (kind, named, suspect, proven, size) = of_rows, into
     n, gain = size.shape[1], np.abs(learnt.stated.gain)
-    levels = [k for k, t in enumerate(learnt.limits.tests) if t.kind == "level"]
-    by = np.array([learnt.limits.tests[k].scale for k in levels])[np.argmax(ratio[levels], axis=0)]
-    top = ratio[levels].max(axis=0)
+    top = ratio[[t.kind == "level" for t in learnt.limits.tests]].max(axis=0)
     for w, disagree in found.disagree.items():
         d = disagree[rows]
         with np.errstate(invalid="ignore"):
-            agrees = (by == w) & (top > 1) & (WORSE * d < np.abs(size[rows]) * gain) & ~proven[rows][:, :n]
+            agrees = (most == w) & (top > 1) & (WORSE * d < np.abs(size[rows]) * gain) & ~proven[rows][:, :n]
         for r in np.flatnonzero((agrees & (named | suspect)[rows][:, :n]).any(axis=1)):
             row = rows[r]
             named[row, :n] &= ~agrees[r]
@@ -338,9 +338,7 @@ def _scales(learnt: LearntLimits, ratio: Array) -> tuple[Array, Array]:
     A window that began before the fault shows only a part of it, and so does a long one of readings that are limited, see
     `judged`. So of the first and shorter ones it is the longest that no shorter one exceeds by more than `PART` of its limit.
     """
-    levels = sorted(
-        (k for k, t in enumerate(learnt.limits.tests) if t.kind == "level"), key=lambda k: learnt.limits.tests[k].scale
-    )
+    levels = [k for k, t in enumerate(learnt.limits.tests) if t.kind == "level"]  # from the shortest window on
     of = np.array([learnt.limits.tests[k].scale for k in levels])
     limit = learnt.limits.limit[levels][:, None]
     level = ratio[levels] * limit
