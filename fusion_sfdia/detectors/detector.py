@@ -201,7 +201,8 @@ class Claims(Protocol):
     sets that. threshold_scale: factor on all thresholds. false_alarm: the rate of alarms per step over all sensors for which
     its thresholds are designed, fitted_rate that for which they were fitted to healthy readings, None where there is none.
     claimed_rate: alarms per step over all sensors without a fault that it claims at most, NaN where it claims nothing. steps:
-    as `step` for each of t (K,), y (K, N), u (K, m) of one run, with the same bits, where there is a faster way; else None.
+    as `step` for each of t (K,), y (K, N), u (K, m) of one run, with the same bits unless it states otherwise, where there is a
+    faster way; else None.
     watching: itself without accommodation, where it has any, so that readings are not replaced. dated: itself for readings
     whose seconds begin at a moment of the wall clock, None where that is not known; another where what was learnt ages.
     fit_thresholds: itself with thresholds for that rate from healthy readings.

@@ -26,8 +26,8 @@ from fusion_sfdia.plant.signals import Sensor, Signal
 
 # units by which names of tags end, the first of these in any case; "in", "min" and single letters mean other things
 IN_NAMES = {u.lower(): u for u in "degC degF kPa hPa Pa bar mbar psi kW kWh Hz rpm pct percent ppm lps gpm cfm m3h".split()}
-ALL = "all"
 IN_NAMES |= {u: u for u in ("MPa", "MW", "mA", "mV")}
+ALL = "all"  # in place of the names of further columns
 
 
 def signals_of(
